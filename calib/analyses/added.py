@@ -85,7 +85,7 @@ def nothing_added(found: Explanation) -> str:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.steps.competing)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
     if found.verdict in NAMED and found.granted:
-        return "The measurement has faults beside what the model lacks: correct them first, so that nothing is added."
+        return "The measurement has errors beside what the model lacks: correct them first, so that nothing is added."
     if found.mistakable:
         pairs = "; and between ".join(f"{name} and {other}" for name, other in found.mistakable)
         untold = f"These data cannot discriminate between {pairs}, so nothing is added: inspect the structure."
@@ -103,12 +103,12 @@ def nothing_added(found: Explanation) -> str:
         "several_effects": untold,
         "measurement": "The measurement is what does not fit, so nothing is added to the model: correct it first.",
         "unconfirmed": f"The best-fitting explanation, {named}, is not confirmed: "
-        f"{'no local perturbation competed with it' if found.uncontested else 'held-out data contradict it'}, so "
-        "nothing is added. 'calib extend' adds it anyway.",
+        f"{'nothing competed with it' if found.uncontested else 'validation data contradict it'}, so nothing is added. "
+        "'calib extend' adds it anyway.",
         "partial": "The fitted effects explain only part of the misfit and may stand in for another cause, so nothing "
         "is added.",
         "misfit_unlocated": "No effect stands out, so nothing is added: check the data that fit worst.",
-        "none_explains": "No effect of the library explains the misfit, so nothing is added.",
+        "none_explains": "No listed cause explains the misfit, so nothing is added.",
     }
     return reasons[found.verdict]
 
@@ -315,7 +315,7 @@ def conclusion(errors: pd.DataFrame) -> str:
     words = "the model fits better" if fell["fit"] else "the model fits no better"
     if better and not same:
         every = unseen != ["left_out"] and not noise
-        words += f" and predicts {'held-out data' if every else ' and '.join(better)} better"
+        words += f" and predicts {'validation data' if every else ' and '.join(better)} better"
     elif better:
         words += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:
@@ -340,8 +340,8 @@ def _held_out_modes(modes: pd.DataFrame) -> str:
     ]
     fell = len(known) - len(grew)
     if not fell:
-        return f"The frequency error grows in every held-out mode: {', '.join(grew)}."
-    words = f"The frequency error falls in {fell} of {len(known)} held-out mode{'s' * (len(known) > 1)}"
+        return f"The frequency error grows in every validation mode: {', '.join(grew)}."
+    words = f"The frequency error falls in {fell} of {len(known)} validation mode{'s' * (len(known) > 1)}"
     return f"{words}; it grows for {', '.join(grew)}." if grew else f"{words}."
 
 

@@ -40,7 +40,7 @@ from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile
 
-CHECKING = "leave-one-out and held-out errors"
+CHECKING = "leave-one-out and validation errors"
 """Name of the stage that follows all cases."""
 Method: TypeAlias = Literal["auto", "genetic", "gauss-newton", "cmcf"]
 

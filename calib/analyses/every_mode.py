@@ -151,7 +151,7 @@ def contradictions(errors: pd.DataFrame, each: pd.DataFrame | None, assumed: str
         words = (
             f"{GROUPS[group].capitalize()} contradict the calibrated model: their rms error is {row['rms']:.2f} "
             f"standard deviations, where a correct model would show {row['expected']:.2f} "
-            f"(p = {row['p']:.1g}); the model is over-fitted or misspecified"
+            f"(p = {row['p']:.1g}); the model is over-fitted or wrong"
         )
         words += f"; this rests on an assumed standard deviation: {assumed}" if assumed else ""
         worse = [] if each is None else _no_better(each, _NAMED.get(group, ""))

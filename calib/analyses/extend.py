@@ -138,7 +138,7 @@ def _place_among(study: StudyFile, results: Path) -> Path:
 def _candidates(study: AnyStudy, names: Sequence[str]) -> tuple[Effect, ...]:
     if not study.library and not study.settings.effects:
         raise InputError(
-            "the study names no library of effects",
+            "the study names no list of possible causes",
             place=study.file,
             remedy='add a line such as effects = "effects.py:library" or effects = "generic"',
         )

@@ -183,10 +183,10 @@ def generic_note(study: LoadedStudy, verdict: str) -> tuple[str, ...]:
     """That effects were composed and how many, in words; where a misfit is left without a library, that they can be."""
     libraries, of = study.settings.libraries, "generic effects of the model's own parts, joints, supports and points"
     if libraries == (GENERIC,):
-        tested = f"No library was given: {len(study.candidates)} {of} were tested"
+        tested = f"No list of causes was given: {len(study.candidates)} {of} were tested"
         return (f"{tested}. Names and plausible sizes are calib's.",)
     if GENERIC in libraries:
-        return (f"Beside the library, {of} were tested.",)
+        return (f"Beside the list, {of} were tested.",)
     if study.library or verdict not in OPEN or not isinstance(study.model, StructuralModel):
         return ()
-    return (f'No library was given: effects = "{GENERIC}" tests {of}.',)
+    return (f'No list of causes was given: effects = "{GENERIC}" tests {of}.',)

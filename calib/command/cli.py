@@ -267,7 +267,7 @@ def propose(
 @app.command(short_help="Write a new study whose model has more effects.")
 def extend(
     study: StudyPath,
-    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Effects of the study's library.")],
+    effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Possible causes that the study lists.")],
     into: Annotated[
         Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="A folder that does not exist yet.")
     ],

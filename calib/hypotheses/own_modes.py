@@ -85,7 +85,7 @@ def own_modes_sentence(table: pd.DataFrame) -> str:
         one = len(rows) == 1
         shares = sorted({f"{100 * share:.0f}" for share in (rows["share"].min(), rows["share"].max())})
         out.append(
-            f"{name} brings {'a mode' if one else f'{len(rows)} modes'} of its own at "
+            f"{name} adds {'a mode' if one else f'{len(rows)} modes'} at "
             f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: the degrees of freedom that it adds "
             f"hold {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
             f"{'it' if one else 'them'}."

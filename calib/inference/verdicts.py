@@ -16,7 +16,7 @@ from calib.problem.space import Parameter, ParameterSpace
 
 DOUBTS = {
     "misfit": "the model does not fit, so that the standard deviations do not hold",
-    "held_out": "held-out data contradict the model, so that the standard deviations do not hold",
+    "held_out": "validation data contradict the model, so that the standard deviations do not hold",
     "few_data": "fewer than two effective degrees of freedom are left, too few to see an error of the model",
 }
 """Why no parameter of a fit is identified, whatever its standard deviation."""

@@ -111,11 +111,11 @@ def predicted_scale(fits: Refits, candidate_fit: CandidateFit, others: Scores) -
 
 
 UNSEEN: Mapping[str, str] = {
-    "held_out_sensors": "held-out sensors",
-    "held_out_modes": "held-out modes",
-    "held_out_responses": "held-out responses",
-    "held_out_references": "held-out references",
-    "held_out_bands": "held-out bands",
+    "held_out_sensors": "validation sensors",
+    "held_out_modes": "validation modes",
+    "held_out_responses": "validation responses",
+    "held_out_references": "validation references",
+    "held_out_bands": "validation bands",
 }
 """Groups of held-out data, in words."""
 

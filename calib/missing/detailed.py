@@ -180,7 +180,7 @@ def detailed_sentence(tried: Sequence[DetailedFit], before: pd.DataFrame) -> str
         end = f"'calib extend' adds {e.name}."
     else:
         start = f"In more detail {listed} does not explain the data either: {sized}; {squares}, but {_why_not(one)}"
-        end = f"It is {e.name} in the library."
+        end = f"It is {e.name} in the list of possible causes."
     least = p_words(min(one.adequacy.p_family, one.adequacy.p_fit))
     return (
         f"{start} ({least}){_held_out(one, before)}. It was fitted after the decision, which does not count it. {end}"
@@ -200,8 +200,8 @@ def _why_not(one: DetailedFit) -> str:
         "implausible": one.candidate_fit.implausible,
         "dof": "too few degrees of freedom are left to test it",
         "misfit": "something systematic is left",
-        "local_perturbation": "a local perturbation fits better",
-        "held_out": "held-out data contradict it",
+        "local_perturbation": "a local stiffness or mass change fits better",
+        "held_out": "validation data contradict it",
     }[one.refused]
 
 

@@ -18,8 +18,8 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores
 
 UNHELD = (
-    "No interval of a fitted parameter holds: what is missing is unlike every effect and local perturbation, or too "
-    "large for their derivatives."
+    "No interval of a fitted parameter holds: what is missing is unlike every effect and every local stiffness or "
+    "mass change, or too large for their derivatives."
 )
 """Said where a discrepancy does not account for the misfit."""
 TABLE = "unexplained"

@@ -140,7 +140,7 @@ def findings(
     progress("intervals and leave-one-out errors")
     intervals = _intervals(decision)
     placed = found_places(decision)
-    progress("held-out data")
+    progress("validation data")
     found, errors, notes, figures = _confirmed(adapter, decision)
     along = step_fits(found)
     stepped = steps_tables(found, adapter.errors(along, found.noise_scale)[0]) if along else {}
@@ -156,7 +156,7 @@ def findings(
     discretisation = None if found.granted else adapter.discretisation_error(found)  # once the data are corrected
     detailed = detailed_fits(adapter, found, progress)
     if found.granted:
-        notes = ["Held-out data are compared as they were measured, with the faults that are told.", *notes]
+        notes = ["Validation data are compared as they were measured, with the errors that are named.", *notes]
     notes = [*([] if discretisation is None else [discretisation.sentence]), *adapter.notes(), *notes]
     facts, places, labels = adapter.facts, adapter.places(), adapter.labels()
     accuracy = less_accurate(found, adapter.hypotheses, adapter.hypotheses.relative_std, facts.seed)

@@ -141,7 +141,8 @@ class Remainder:
         parts = []
         if not math.isnan(self.distance):
             parts.append(
-                f"local perturbations that would lower it lie at {self.distance:.2g} times the distance of all"
+                f"local stiffness or mass changes that would lower it lie at {self.distance:.2g} times the distance "
+                "of all"
             )
         if not math.isnan(self.modes):
             parts.append(

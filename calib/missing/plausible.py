@@ -73,11 +73,15 @@ def _pull_words(rows: Sequence[_Pull]) -> list[str]:
     """Which parameters are pulled; of more than `_NAMED` those that are pulled most, with the number of others."""
     pulled_rows = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
     if len(pulled_rows) <= _NAMED:
-        return [f"{name} has a pull of {score:+.1f} (limit {limit:.1f})" for name, score, limit in pulled_rows]
+        return [
+            f"{name} has shifted by {score:+.1f} of its expected deviation (limit {limit:.1f})"
+            for name, score, limit in pulled_rows
+        ]
     most = sorted(pulled_rows, key=lambda row: -abs(row[1]))[:_NAMED]
     named = ", ".join(f"{name} by {score:+.1f}" for name, score, _ in most)
     return [
-        f"{len(pulled_rows)} of {len(rows)} parameters are pulled, most of all {named} (limit {pulled_rows[0][2]:.1f})"
+        f"{len(pulled_rows)} of {len(rows)} parameters have shifted too far, most of all {named} expected deviations "
+        f"(limit {pulled_rows[0][2]:.1f})"
     ]
 
 

@@ -160,6 +160,6 @@ def predictions_sentence(table: pd.DataFrame, errors: pd.DataFrame) -> str:
             f"{len(own)} (rms error {rms:.2g}, expected {alone:.2g} and {beside:.2g})"
         )
     return (
-        "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the unexplained "
+        "Validation data inside the 95 % intervals of their predictions, of the fit alone and with the unexplained "
         f"misfit: {'; '.join(groups)}."
     )

@@ -19,8 +19,8 @@ from calib.missing.rules import RULES
 
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
-_MEASURED = "measured and held out so far"
-HELD_OUT = ", held out so far"
+_MEASURED = "measured as validation data so far"
+HELD_OUT = ", validation data so far"
 """End of the name of a measured mode, or of sensors, held out for verification."""
 COLUMNS = (
     "measurement", "kind", "effect", "gain", "gain_low", "gain_high", "magnitude_min", "ln_bayes", "ln_bayes_low",
@@ -32,7 +32,7 @@ AVERAGED = (
 )
 
 
-USED = "Held-out data that the fit uses no longer verify the result."
+USED = "Validation data that the fit uses no longer verify the result."
 
 
 @dataclass(frozen=True, eq=False)

@@ -74,7 +74,7 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
     h, best = fits.hypotheses, {t.names[0]: t for t in faults}
     if not h.faults:
         return tuple(faults)
-    fits.announce("fitting faults of the measurement from the nominal values too")
+    fits.announce("fitting measurement errors from the nominal values too")
     fit_problem = fits.fit_problem(())
     try:
         nominal = linearised(fit_problem, (), fit_problem.space.values)

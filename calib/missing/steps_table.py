@@ -24,7 +24,7 @@ WHY: Mapping[Rejected, str] = {
     "collinear": "collinear with an effect that was taken in: these data cannot tell which",
     "as_good": "explains about as well in the place of an effect that was taken in",
     "local_perturbation": "this place explains as well as an effect that was taken in",
-    "fault": "this fault of the measurement explains as well as an effect that was taken in",
+    "fault": "this measurement error explains as well as an effect that was taken in",
 }
 """Why an effect was rejected, in words."""
 _STOPPED: Mapping[Stopped, str] = {

@@ -66,7 +66,7 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
         f"candidates more than {noise_limit(every):.1f} in {100 * RULES.noise_level:.0f} % of all cases"
     )
     if tests.faults is not None:
-        words += f", and {without:.1f} without the {_counts(found)[2]} faults of the measurement among them"
+        words += f", and {without:.1f} without the {_counts(found)[2]} measurement errors among them"
     seen = effects[effects["visible"].astype(bool) & effects["magnitude_min"].notna()]
     least = ", ".join(f"{r['name']} from {rounded(float(r['magnitude_min']))}{unit_words(str(r['unit']))}"
                       for r in seen.to_dict("records"))  # fmt: skip
@@ -118,7 +118,7 @@ def family(found: Explanation) -> str:
     """The tests of the base model, in words."""
     adequacy = found.base_adequacy
     tested, perturbations, _ = _counts(found)
-    local = f"{perturbations} local perturbations"
+    local = f"{perturbations} local stiffness or mass changes"
     parts = [*([f"{tested} effect{'s' * (tested != 1)}"] if tested else []), local]
     parts += [] if adequacy.faults is None else [counted_faults(found)]
     largest = f"{p_words(adequacy.p_family)} for the largest score of {names_in_words(parts)}"
@@ -132,8 +132,8 @@ def with_words(found: Explanation, them: str = "it") -> str:
     if adequacy.p_family <= found.alpha:
         return fit_in_short(adequacy, found.alpha, them)
     words = (
-        f"With {them} no other effect or local perturbation stands out ({p_words(adequacy.p_family)}) and {WORST} has "
-        f"{p_words(adequacy.p_fit)}"
+        f"With {them} no other effect or local stiffness or mass change stands out ({p_words(adequacy.p_family)}) "
+        f"and {WORST} has {p_words(adequacy.p_fit)}"
     )
     if adequacy.p_fit <= found.alpha:
         return (
@@ -271,7 +271,7 @@ def counted_faults(found: Explanation) -> str:
     """Number of faults of the measurement that were tested, with that of pairs."""
     pairs = found.base_adequacy.pairs
     also = "" if pairs is None else f" ({pairs.number} more of pairs of channels or modes)"
-    return f"{_counts(found)[2]} faults of the measurement{also}"
+    return f"{_counts(found)[2]} measurement errors{also}"
 
 
 def _counts(found: Explanation) -> tuple[int, int, int]:
@@ -302,7 +302,7 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     again = " Then explain again." if found.remains else ""
     return VerdictWords(
         f"{told} {left}".strip(),
-        f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any fault or effect, "
+        f"Its log Bayes factor is {found.ln_bayes(found.fault):.1f} against the model without any error or cause, "
         f"chosen among {counted_faults(found)}.{against} {misfit_in_short(found)} "
         f"{fit_in_short(after, found.alpha)}",
         f"Correct the measurement, or take it out, before the model is changed; nothing is added to the model.{again}",

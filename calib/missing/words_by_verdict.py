@@ -57,7 +57,7 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
         )
     tested = (f"Tested: {family(found)}.",)
     if found.groups and not effects["visible"].astype(bool).any():
-        blind = "The base model fits, but these data cannot show any effect of the library at a plausible magnitude."
+        blind = "The base model fits, but these data cannot show any listed cause at a plausible magnitude."
         return VerdictWords(blind, sure, "Measure more before you conclude that nothing is missing.", tested)
     fits, then = "The model fits: no missing effect is detectable in these data.", ["Nothing calls for a change of it."]
     near = near_limit(found, effects)
@@ -110,7 +110,7 @@ def _indistinguishable(found: Explanation, effects: pd.DataFrame) -> VerdictWord
     explaining = [(float(b), effect_words(effects, e)) for e, b in zip(credible, rows["ln_bayes"], strict=True)]
     alternatives, check = [*credible], ""
     if found.fault is not None:
-        told = f"a fault of the measurement: {fault_words(found.fault)}"
+        told = f"a measurement error: {fault_words(found.fault)}"
         explaining.append((found.ln_bayes(found.fault), told))
         alternatives += found.fault.effects
     if found.datum is not None:
@@ -168,11 +168,11 @@ def _unconfirmed(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     assert found.chosen is not None
     named = " together with ".join(effect_words(effects, e) for e in found.chosen.effects)
     if found.uncontested:
-        against = "but no local perturbation could be tested against it, so a wrong name cannot be excluded"
+        against = "but no local stiffness or mass change could be tested against it, so a wrong name cannot be excluded"
         then = "Measure more modes or sensors before it is added."
     else:
         against = "but data that no fit has seen contradict it"
-        then = "Check the held-out data: it stands in for something else, or they are in error."
+        then = "Check the validation data: it stands in for something else, or they are in error."
     return VerdictWords(
         f"No effect is confirmed: {named}, would fit, {against}.", misfit_in_short(found), then, (misfit_words(found),)
     )
@@ -183,7 +183,7 @@ def _rest(found: Explanation) -> str:
     perturbation = found.place
     if perturbation is None:
         none = "No single place explains it. " if found.perturbation is not None else ""
-        return f"{none}Give a library with further effects."
+        return f"{none}Give a list with further causes."
     better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
     words = "it fits better than every listed effect" if better else "it would help most"
     size = local_perturbation(perturbation).in_words
@@ -252,7 +252,7 @@ def _why_not(found: Explanation) -> str:
         "dof": f"it leaves {max(adequacy.dof, 0.0):.1f} effective degrees of freedom, and below two no fit can be "
         "tested",
         "misfit": f"what is left still has {p_words(min(adequacy.p_family, adequacy.p_fit))}",
-        "local_perturbation": "a local perturbation fits better",
+        "local_perturbation": "a local stiffness or mass change fits better",
         "evidence": "the evidence for it is too weak among so many candidates",
     }[found.refused]
 

@@ -31,7 +31,7 @@ _NOTE = (
 )
 _TOGETHER = "Effects named together have the evidence and the probability of the model with all of them."
 _LOOKS: dict[str, dict[str, Any]] = {
-    "credible set": {"facecolor": style.ORANGE},
+    "candidates left": {"facecolor": style.ORANGE},
     "refitted": {"facecolor": style.BLUE},
     "not refitted: linear estimate": {"facecolor": "#CFE6F5", "edgecolor": style.SKY, "linewidth": 0.8},
     "not visible with these data": {"facecolor": style.REST},
@@ -84,7 +84,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     for row, (value, look, odd, span, visible) in enumerate(zip(values, looks, odd_ones, spans, seen, strict=True)):
         mark: dict[str, Any] = {"marker": "X" if odd else "o", "s": 62, "zorder": 4, "gid": look}
         dot = ax.scatter([value], [row], **mark, **_LOOKS[look])
-        hover(dot, f"{rows['name'][row]}: ln Bayes {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
+        hover(dot, f"{rows['name'][row]}: evidence {fixed(value, 1)}, {look}" + (", implausible" if odd else ""))
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=style.BLACK, linewidth=1.1, gid="prior", zorder=3)
@@ -105,7 +105,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     ax.axvline(limit, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
     everything = np.append(spans[np.isfinite(spans)], [0.0, limit])
     low, high = float(everything.min()), float(everything.max())
-    label = "ln Bayes factor against the base model (–)"
+    label = "log Bayes factor against the base model (–)"
     if high > _WIDE or low < -_WIDE:
         ax.set_xscale("symlog", linthresh=10.0)
         # The value and a word beside the longest bar take about a decade.
@@ -251,7 +251,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     ax.set_xticks(range(count), names, rotation=90, fontsize=8)
     ax.set_yticks(range(count), words, fontsize=7.5)
     note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
-    ax.set_xlabel(note + ("; γ: unabsorbed fraction" if known else ""))
+    ax.set_xlabel(note + ("; γ: share that the parameters cannot explain" if known else ""))
     label = "correlation ρ of the change patterns (–)"
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax

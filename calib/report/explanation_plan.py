@@ -65,7 +65,7 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         folder, "unexplained_predictions", ["group", "kind"], NUMBERS, flags=flags, blank=labels, unbounded=NUMBERS
     )
     if predicted is not None:
-        caption = "predictions of held-out data"
+        caption = "predictions of validation data"
         draw = bound(draw_predictions, predicted)
         yield Drawing("held_out_predictions", caption, draw, ("unexplained_predictions", "unexplained_errors"))
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected", "p"])
@@ -120,7 +120,7 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
     numbers = ["x", "y", "z", "score", "unabsorbed", "limit"]
     perturbations = _read(folder, "perturbations", ["perturbation", "kind"], numbers)
     if rest is not None and perturbations is not None:
-        caption = "scores of local perturbations: places to inspect, not causes"
+        caption = "scores of local stiffness or mass changes: places to inspect, not causes"
         draw = bound(perturbation_map_figure, perturbations, rest)
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
 
@@ -167,7 +167,7 @@ def _suspects(folder: Folder) -> Iterator[Drawing]:
         folder, "faults", ["fault", "kind"], ["score", "limit"], flags=["blamed"], blank=["sensor", "told"]
     )  # fmt: skip
     if faults is not None:
-        caption = "scores of faults of the measurement"
+        caption = "scores of measurement errors"
         yield Drawing("suspects", caption, bound(draw_suspects, faults), ("faults",))
 
 

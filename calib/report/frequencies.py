@@ -83,7 +83,7 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
         hover_points(ax, of_stage, np.arange(count), words)
         handles.append(Line2D([], [], label=look.words, **dot))  # no means: those are over the fitted modes alone
     held_out = table["held_out"].astype(bool).to_numpy()
-    names = [f"{mode} (held out)" if held else str(mode) for mode, held in zip(table["mode"], held_out, strict=True)]
+    names = [f"{mode} (validation)" if held else str(mode) for mode, held in zip(table["mode"], held_out, strict=True)]
     ax.set_yticks(range(count), names)
     for label, held in zip(ax.get_yticklabels(), held_out, strict=True):
         label.set_color(GREY if held else BLACK)

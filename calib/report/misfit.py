@@ -210,8 +210,8 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     reach = 1.12 * float(size[np.isfinite(size)].max())
     ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
     ax.grid(axis="x")
-    left = f"; {len(every) - len(names)} parameters with smaller pulls are left out" if len(names) < len(every) else ""
-    ax.set_xlabel(f"pull: shift from the nominal value over its standard deviation\nin a correct model (–){left}")
+    left = f"; {len(every) - len(names)} parameters with smaller shifts are left out" if len(names) < len(every) else ""
+    ax.set_xlabel(f"shift from the nominal value over its expected deviation,\nthat in a correct model (–){left}")
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
     words = textwrap.fill(words, 40, break_long_words=False)
     ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=style.GREY)
@@ -219,7 +219,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=style.BLACK, linestyle="--", linewidth=0.9, label=label))
     if any(map(flag, table["pulled"])):
-        handles.append(Line2D([], [], label="pulled", **ring))
+        handles.append(Line2D([], [], label="shifted too far", **ring))
     style.legend_above(ax, handles)
     return ax
 
@@ -299,7 +299,9 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ax.set_yticks(range(len(place)), list(place))
     ax.set_ylim(len(place) - 0.4, -0.6)
     pairs = "".join(f", of pairs within ± {fixed(one, 1)}," for one in others)
-    ax.set_xlabel(f"score of the fault (noise alone stays within ± {fixed(limit, 1)}{pairs} in 99 % of all cases)")
+    ax.set_xlabel(
+        f"score of the measurement error (noise alone stays within ± {fixed(limit, 1)}{pairs} in 99 % of all cases)"
+    )
     ax.grid(axis="y")
     style.legend_above(ax)
     return ax

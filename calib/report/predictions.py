@@ -42,7 +42,7 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """
     ax = own_axes(ax, 3.8)
     if table.empty:
-        return blank(ax, "no value is held out")
+        return blank(ax, "there are no validation data")
     table = table[np.isfinite(table[NUMBERS].to_numpy(float)).all(axis=1)]
     if table.empty:
         return blank(ax, "no prediction has a finite interval")
@@ -73,7 +73,7 @@ def draw_predictions(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         scale = f" (linear up to {_LINEAR:g})"
     less = f"; one value in {step} is shown" if step > 1 else ""
     ax.set_ylabel(f"measured less predicted value,\nin half intervals of the fit alone{scale}")
-    ax.set_xlabel(f"held-out values{less}")
+    ax.set_xlabel(f"validation values{less}")
     ax.tick_params(axis="x", length=0)
     handles = [
         Patch(color="#D9D9D9", label="95 % interval of the fit alone"),

@@ -95,7 +95,7 @@ def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     height = float(figure.get_size_inches()[1])
     figure.text(1.0 / WIDTH, (foot - 0.05) / height, "\n".join(lines), fontsize=8.5, va="top", linespacing=1.25)
     scene.colour_bar(
-        figure, ScalarMappable(Normalize(0.0, _largest(table)), "YlOrRd"), "ln Bayes less ln of the choices"
+        figure, ScalarMappable(Normalize(0.0, _largest(table)), "YlOrRd"), "evidence less ln of the choices"
     )
     return figure
 

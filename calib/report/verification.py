@@ -21,11 +21,11 @@ from calib.report.svg import hover, hover_points
 GROUPS = {
     "fit": "used in the fit",
     "left_out": "left out in turn (leave-one-out)",
-    "held_out_sensors": "held-out sensors",
-    "held_out_modes": "held-out modes",
-    "held_out_responses": "held-out responses",
-    "held_out_references": "held-out references",
-    "held_out_bands": "held-out bands",
+    "held_out_sensors": "validation sensors",
+    "held_out_modes": "validation modes",
+    "held_out_responses": "validation responses",
+    "held_out_references": "validation references",
+    "held_out_bands": "validation bands",
 }
 _STAGES: dict[str, dict[str, Any]] = {
     "before": {"color": style.AFTER, "marker": "o"},
@@ -36,7 +36,7 @@ _KINDS = {
     "sensor": ("further sensor", style.SKY),
     "mode": ("further mode", style.ORANGE),
     "reference": ("further force", style.AFTER),
-    "held out": ("held-out data", style.YELLOW),
+    "held out": ("validation data", style.YELLOW),
     "repeats": ("more repeats", style.GREEN),
     "bench": ("bench test", style.PURPLE),
 }
@@ -44,7 +44,7 @@ STEP_ERRORS = "error_by_step"
 """Name of the figure of `draw_error_steps`."""
 WORTHWHILE = 1.2
 """Gain from which a measurement is recommended."""
-_MEASURED = ", held out so far"
+_MEASURED = ", validation data so far"
 """End of the name of a measurement that there is already."""
 _RANGE = 20.0
 """Ratio of the largest to the smallest error above which the axis is logarithmic."""
@@ -250,7 +250,7 @@ def draw_next_measurement(
     if measure == "ln_bayes":
         ax.axvline(LEAST_BAYES_FACTOR, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
         limits = f"lines: 8 of 10 cases; dashed: {LEAST_BAYES_FACTOR:g}"
-        ax.set_xlabel(f"expected ln Bayes factor of the\ntrue effect (–; {limits})")
+        ax.set_xlabel(f"expected log Bayes factor of the\ntrue effect (–; {limits})")
     else:
         ax.set_xlabel("expected gain in the score z of the effect\n(–; lines: 8 of 10 cases; 1: no gain)")
     ax.set_yticks(at, _measurement_labels(rows), fontsize=8)

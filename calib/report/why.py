@@ -256,7 +256,12 @@ def why_figure(
     height = float(figure.get_size_inches()[1])
     if places is not None:
         show_axes(figure)
-        colour_bar(figure, ScalarMappable(CORRELATION, "RdBu_r"), "ρ with local perturbations (–; area: |ρ|)", TICKS)
+        colour_bar(
+            figure,
+            ScalarMappable(CORRELATION, "RdBu_r"),
+            "ρ with local stiffness or mass changes (–; area: |ρ|)",
+            TICKS,
+        )
     handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
     if any(map(len, stars.values())):
         handles.append(Line2D([], [], linestyle="none", label="where it acts", **STAR))
@@ -313,7 +318,7 @@ def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str
     rows = parameters[(parameters["effect"] == effect) & (parameters["parameter"] != effect)]
     return [
         f"{r['parameter']} = {with_unit(r['value'], str(r['unit']))} as fitted"
-        + (f"; in the library: {about}" if (about := r["description"]) else "")
+        + (f"; in the list: {about}" if (about := r["description"]) else "")
         for r in rows.to_dict("records")
     ]
 
@@ -338,11 +343,11 @@ def _heading(
     sentences.append(f"{explained_words(own, by_test)}.")
     if len(stars):
         sentences.append(
-            f"By the library, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
+            f"By the list, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
         )
     if places is not None and (where := alike_words(places, name)):
         sentences.append(
-            f"Most alike among the local perturbations, marked 1: {where}"
+            f"Most alike among the local stiffness or mass changes, marked 1: {where}"
             if most_alike(places, name) is not None
             else where
         )

@@ -185,7 +185,7 @@ class Sources:
         names = self.settings.with_effects
         if names and not self.settings.libraries:
             raise InputError(
-                "effects are named, but no library that holds them", place=self.place("with_effects"),
+                "effects are named, but no list that holds them", place=self.place("with_effects"),
                 remedy="add the key 'effects'",
             )  # fmt: skip
         for k, name in enumerate(names):
@@ -334,7 +334,7 @@ def require_distinct(library: Sequence[Effect], base: Model, place: Place | str)
                 raise InputError(
                     f"the effect {effect.name!r} has a parameter {name!r}, as has the model {base.name!r}",
                     place=place,
-                    remedy="rename it or leave the effect out of the library",
+                    remedy="rename it or leave the effect out of the list",
                 )
             if name in owner:
                 raise InputError(
@@ -353,7 +353,7 @@ def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
         raise InputError(
             f"unknown effect {name!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
             place=place,
-            remedy=f"the library's effects are {', '.join(known) or 'none'}",
+            remedy=f"the listed effects are {', '.join(known) or 'none'}",
         )
     return known[name]
 

@@ -16,7 +16,7 @@ _ROWS = (
     ("sensitivity", "Which parameters matter", "samples between the limits; metamodels"),
     ("calibrate", "Fitted parameters", "search, least squares, and how well each parameter is identified"),
     ("intervals", "Intervals of the parameters", "by the profile likelihood"),
-    ("explain", "What the model lacks", "effects of the library, local changes, errors of the measurement"),
+    ("explain", "What the model lacks", "possible causes, local changes, measurement errors"),
 )
 """The analyses in their order, in words."""
 _OF_TEST = ("compare", "sensitivity")

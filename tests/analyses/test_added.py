@@ -15,7 +15,7 @@ from calib.analyses.provenance.state import ADDED
 from calib.results.results import Results
 from calib.study.study import LoadedStudy
 
-BETTER = "the model fits better and predicts held-out data better"
+BETTER = "the model fits better and predicts validation data better"
 NO_BETTER = "the model fits better, predicts no better"
 
 
@@ -38,13 +38,13 @@ def errors(**groups):
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 3), "held_out_modes": (3, 3.3)}, NO_BETTER),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 2.97)}, NO_BETTER),  # left-out data are used data
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 1), "held_out_modes": (3, 4)},
-         "the model fits better, predicts held-out sensors better, held-out modes no better"),
+         "the model fits better, predicts validation sensors better, validation modes no better"),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (1, 1, 0.5, 0.6), "held_out_modes": (3, 1)},
-         "the model fits better and predicts held-out modes better; no gain beyond the noise in held-out sensors"),
+         "the model fits better and predicts validation modes better; no gain beyond the noise in validation sensors"),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (3, 1), "held_out_modes": (0.97, 0.94, 0.59, 0.74)},
-         "the model fits better and predicts held-out sensors better; no gain beyond the noise in held-out modes"),
+         "the model fits better and predicts validation sensors better; no gain beyond the noise in validation modes"),
         ({"fit": (4, 1), "left_out": (5, 1), "held_out_sensors": (1, 1, 0.5, 0.6)},
-         f"{NO_BETTER}; no gain beyond the noise in held-out sensors"),
+         f"{NO_BETTER}; no gain beyond the noise in validation sensors"),
         ({"fit": (4, 1), "left_out": (5, 1)}, "the model fits better and predicts data left out in turn better"),
         ({"fit": (4, 1), "left_out": (5, 6)}, NO_BETTER),
         ({"fit": (4, 4), "left_out": (5, 5), "held_out_modes": (3, 3)}, "the model fits no better, predicts no better"),
@@ -64,7 +64,7 @@ def test_a_held_out_mode_that_gets_worse_is_named():
         }
     )
     words = _held_out_modes(modes)
-    assert words == "The frequency error falls in 1 of 2 held-out modes; it grows for 4B (0.03 -> 0.70 %)."
+    assert words == "The frequency error falls in 1 of 2 validation modes; it grows for 4B (0.03 -> 0.70 %)."
     assert _held_out_modes(modes.iloc[[2]]) == "The frequency error falls in 1 of 1 held-out mode."
     assert _held_out_modes(modes.iloc[[1]]) == "The frequency error grows in every held-out mode: 4B (0.03 -> 0.70 %)."
     assert _held_out_modes(modes.iloc[[0, 3]]) == _held_out_modes(pd.DataFrame()) == ""

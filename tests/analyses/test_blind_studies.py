@@ -128,7 +128,7 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     # Faults of pairs have a limit of their own.
     faults = pd.read_csv(folder / "faults.csv")["limit"].value_counts().iloc[0]
     assert faults == summary["faults"] > 50
-    counts = f"{len(effects)} effects, {local} local perturbations and {faults} faults of the measurement"
+    counts = f"{len(effects)} effects, {local} local stiffness or mass changes and {faults} measurement errors"
     assert f"largest score of {counts}" in text
     assert local == summary["local_perturbations"] > 100
     for effect, row in effects[~effects["visible"]].iterrows():
@@ -140,7 +140,7 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     if summary["chosen"] and summary["verdict"] == "effect":
         row = effects.loc[summary["chosen"][0]]
         assert interval_words(row["magnitude"], row["magnitude_low"], row["magnitude_high"], row["unit"]) in text
-        for group, words in (("held_out_sensors", "held-out sensors"), ("held_out_modes", "held-out modes")):
+        for group, words in (("held_out_sensors", "validation sensors"), ("held_out_modes", "validation modes")):
             before, after = errors["rms"][group, "before"], errors["rms"][group, "after"]
             assert f"{words} {before:.2f} -> {after:.2f}" in text
     assert not re.search(r"\bnan\b|R2|R\^2", text)

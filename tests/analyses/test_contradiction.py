@@ -75,7 +75,7 @@ def test_contradicting_data_are_reported_everywhere(tmp_path, monkeypatch, capsy
     assert errors.loc["held_out_responses", "p"] < RULES.contradicted < errors.loc["fit", "p"]
     assert f"{errors.loc['held_out_responses', 'rms']:.2f}" in sentence
     assert said.count(sentence) == 1
-    assert all(f"{name} (held out)" in said for name in ("y6", "y7"))
+    assert all(f"{name} (validation)" in said for name in ("y6", "y7"))
     assert sentence in json.loads((folder / "record.json").read_text())["analyses"]["calibrate"]["sentences"]
     assert sentence in page_summary(StudyResults(folder, "A line", True)).sure
     each = pd.read_csv(folder / "responses.csv").set_index("response")
@@ -101,7 +101,7 @@ def test_the_rule_is_a_p_value_and_names_what_is_predicted_no_better():
     rows = [("M1", False, 0.1, 0.2), ("M2", True, 0.1, -0.1), ("M3", True, -0.2, 0.1), ("M4", True, np.nan, 0.1)]
     modes = pd.DataFrame(rows, columns=["mode", "held_out", "error_before", "error_after"])
     (sentence,) = contradictions(table, modes)
-    assert sentence.startswith("Held-out modes") and "9.00" in sentence and sentence.endswith(": M2.")
+    assert sentence.startswith("Validation modes") and "9.00" in sentence and sentence.endswith(": M2.")
     assert contradictions(table.assign(p=np.nan), modes) == ()
     assert len(contradictions(table.assign(p=0.0009), modes)) == 2
     assert contradictions(table.assign(p=0.0011), modes) == ()

@@ -145,7 +145,7 @@ def folder(parts, tmp_path, monkeypatch):
 def test_a_study_keeps_the_member_and_extends_by_it(folder, capsys):
     assert cli.execute(["explain", "spring"]) == 0
     out = capsys.readouterr().out
-    assert "Or add bow" in out and "held-out responses" in out
+    assert "Or add bow" in out and "validation responses" in out
     results = folder.parent / "results/spring"
     table = pd.read_csv(results / "richer.csv").set_index("parameter")
     assert table.loc["bow", "adequate"] and table.loc["bow", "low"] < 6.0 < table.loc["bow", "high"]

@@ -78,7 +78,7 @@ def test_held_out_sensors_are_to_be_used_and_not_measured_again(world):
     held = tuple(s for s in study.measured.sensors if s.name in HELD)
     design = design_of(hypotheses, fit, held_sensors=held)
     own, *others = candidates_of(design, "sensor")
-    assert own.name == f"sensors {', '.join(HELD)}, held out so far"
+    assert own.name == f"sensors {', '.join(HELD)}, validation data so far"
     real = measured_again(hypotheses, fit, tuple(replace(s, node=900 + s.node) for s in held))
     np.testing.assert_allclose(sizes(design, own), real, rtol=CLOSE)
 
@@ -196,7 +196,7 @@ def test_a_held_out_mode_is_named_as_such(world):
     study, hypotheses, fit = world
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, {"B3x": freq}), "mode")]
-    assert names.count("mode B3x, held out so far") == 1
+    assert names.count("mode B3x, validation data so far") == 1
     assert all(n.startswith("a further mode, computed at ") for n in names if "B3x" not in n)
 
 
@@ -214,7 +214,7 @@ def test_two_modes_near_a_held_out_one_are_two_candidates(world, monkeypatch):
     freq = study.measured.natural_freq[study.measured.names.index("B3x")]
     monkeypatch.setattr(imagined_measurement, "RULES", replace(RULES, held_out_near=100.0))
     names = [o.name for o in candidates_of(design_of(hypotheses, fit, {"B3x": freq}), "mode")]
-    assert len(set(names)) == RULES.more_modes and names.count("mode B3x, held out so far") == 1
+    assert len(set(names)) == RULES.more_modes and names.count("mode B3x, validation data so far") == 1
 
 
 def test_nothing_is_recommended_where_the_model_cannot_be_solved(world, monkeypatch):

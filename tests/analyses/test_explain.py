@@ -169,8 +169,8 @@ def test_the_sentence_gives_the_errors_of_the_table(guyed):
     by = answer.errors.set_index(["group", "stage"])
     for group, words in (
         ("left_out", "data left out in turn"),
-        ("held_out_sensors", "held-out sensors"),
-        ("held_out_modes", "held-out modes"),
+        ("held_out_sensors", "validation sensors"),
+        ("held_out_modes", "validation modes"),
     ):
         before, after = by.loc[(group, "before")], by.loc[(group, "after")]
         assert (
@@ -185,7 +185,7 @@ def test_progress_is_reported_in_order(guyed):
         "calibrating the base model",
         "testing whether anything is missing",
         "intervals and leave-one-out errors",
-        "held-out data",
+        "validation data",
         "what to measure next",
         "discretisation error",
     ]

@@ -158,7 +158,7 @@ def test_a_model_that_held_out_data_contradict_has_no_identified_parameter(line)
     assert found.best.statistics.fits is True and found.contradictions
     assert found.verdicts["not_identified"].tolist() == ["held_out", "held_out"]
     assert not found.parameters["identified"].any()
-    assert "held-out data contradict" in found.sentences[0]
+    assert "validation data contradict" in found.sentences[0]
 
 
 def test_without_a_fit_no_datum_is_suspected(line, tmp_path):

@@ -54,9 +54,9 @@ def std_of(test):
 
 PARTS = {"held_out": ["3x"], "held_out_references": ["4x"], "held_out_bands": [(20.0, 26.0)]}
 USED_TOO = {
-    "sensor 3x, held out so far": "held_out",
-    "force at 4x, held out so far": "held_out_references",
-    "the 10 lines from 20.03 to 25.83 Hz, held out so far": "held_out_bands",
+    "sensor 3x, validation data so far": "held_out",
+    "force at 4x, validation data so far": "held_out_references",
+    "the 10 lines from 20.03 to 25.83 Hz, validation data so far": "held_out_bands",
 }
 
 

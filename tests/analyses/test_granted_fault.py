@@ -56,7 +56,7 @@ def test_it_is_written_as_it_is_told(told):
     assert faults.loc[faults["blamed"], "fault"].tolist() == ["gain of sensor 3x"]
     errors = pd.read_csv(folder / "errors.csv").set_index(["group", "stage"])["rms"]
     assert errors["fit", "after"] < 1.3 and errors["fit", "after"] < 0.7 * errors["fit", "before"]
-    assert any("Held-out data" in note for note in answer.notes)
+    assert any("Validation data" in note for note in answer.notes)
 
 
 def test_nothing_is_added_before_the_measurement_is_corrected(told):

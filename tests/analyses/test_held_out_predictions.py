@@ -176,7 +176,7 @@ def test_scalar_responses_held_out_are_predicted_without_a_further_call():
     assert why.predictions["value"].tolist() == [targets["load_4"][0], targets["load_7"][0]]
     assert why.intervals["parameter"].tolist() == ["k", "c"]
     assert ".intervals, .predictions; all in .explanation" in why.lines["Evidence"]
-    assert any(words.startswith("Held-out data inside the 95 % intervals") for words in why.sentences)
+    assert any(words.startswith("Validation data inside the 95 % intervals") for words in why.sentences)
 
 
 def test_each_of_several_tests_is_predicted_by_the_discrepancy_of_all(tmp_path):

@@ -71,4 +71,4 @@ def test_a_calibrated_model_is_tested_at_the_same_level(p, against):
         ("held_out_modes", "before", 9.0, 0.0), ("held_out_modes", "after", 2.0, p),
     )]  # fmt: skip
     errors = pd.DataFrame(rows, columns=["group", "stage", "rows", "rms", "expected", "p", "unpaired"])
-    assert ("not confirmed: held-out modes" in conclusion(errors)) == against
+    assert ("not confirmed: validation modes" in conclusion(errors)) == against

@@ -58,7 +58,7 @@ def test_the_true_values_lie_inside_where_the_effect_is_not_in_the_library(mast,
 def test_a_named_effect_leaves_no_second_interval(guyed):
     _, results, answer, _ = guyed
     assert answer.verdict == "effect" and not any((results.path / f"{name}.csv").exists() for name in FILES)
-    assert not any(s.startswith(("The unexplained misfit", "Held-out data inside")) for s in answer.sentences)
+    assert not any(s.startswith(("The unexplained misfit", "Validation data inside")) for s in answer.sentences)
 
 
 # -- after a calibration -----------------------------------------------------------------------------------------------

@@ -153,7 +153,7 @@ def test_no_candidate_measurement_takes_information_away(explained):
     assert (table["gain"] >= 1 - 1e-9).all() and set(table["effect"]) == {"ground_2", "mass_3"}
     own = table[table["effect"] == "ground_2"].set_index("measurement")["gain"]
     for held in ("sensor 3x", "force at 4x", "the 10 lines from 20.03 to 25.83 Hz"):
-        assert own[f"{held}, held out so far"] > 1.01
+        assert own[f"{held}, validation data so far"] > 1.01
 
 
 def test_nothing_is_named_where_nothing_is_missing(right):

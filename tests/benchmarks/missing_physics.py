@@ -84,7 +84,7 @@ COUNTED = (
     ("something that is not in the library", "names something"),
     ("nothing", "says that something is missing"),
     ("one effect, named", "its 95 % interval covers the truth"),
-    ("a fault of the measurement", "names a wrong effect"),
+    ("a measurement error", "names a wrong effect"),
 )
 """Criteria of `rates_table.rates` that count over all subjects."""
 

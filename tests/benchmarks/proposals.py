@@ -188,7 +188,7 @@ def report(found: list[dict[str, Any]]) -> None:
     for group in ("all", "removed", "outside"):
         own = [row for row in found if group in ("all", row["group"])]
         print(f"{group}: {len(own)} cases, {sum(not r['proposed'] for r in own)} without a proposal, "
-              f"{sum(r['measurement'] for r in own)} told as a fault of the measurement")  # fmt: skip
+              f"{sum(r['measurement'] for r in own)} told as a measurement error")  # fmt: skip
         for key, words in WORDS.items():
             right = sum(bool(row[key]) for row in own)
             low = float(beta.ppf(0.05, right, len(own) - right + 1)) if right else 0.0

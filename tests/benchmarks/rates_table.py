@@ -150,7 +150,7 @@ def of_methods(rows: Sequence[Row]) -> dict[str, list[Rate]]:
         ("nothing", "says that something is missing"),
         ("nothing", "names something"),
         ("something that is not in the library", "names something"),
-        ("a fault of the measurement", "names a wrong effect"),
+        ("a measurement error", "names a wrong effect"),
     }
     out = {}
     for method in dict.fromkeys(name for row in rows for name in row["methods"]):
@@ -245,7 +245,7 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
         rate(f"{three}, each of {detectable}", "names all three", 0.80, True, all_three, right),
         rate(f"{three} of any score", "names a wrong effect", 0.02, False, triples, wrong),
         rate(f"{one}, named", "its 95 % interval covers the truth", 0.90, True, covering, lambda r: bool(r["covers"])),
-        rate("a fault of the measurement", "names a wrong effect", 0.01, False, group("fault"), wrong),
+        rate("a measurement error", "names a wrong effect", 0.01, False, group("fault"), wrong),
         rate(
             "one wrong channel", "tells it", 0.90, True, [r for r in group("fault") if r.get("fault")],
             lambda r: r["blamed"] == [r["fault"]],

@@ -182,7 +182,7 @@ def test_held_out_data_are_told_and_enter_no_fit(guyed, capsys, edit, explanatio
     out = capsys.readouterr().out
     assert "Held out, never fitted: modes B3x; sensors 2x." in out
     assert explanation()["errors"]["held_out_modes"]["after"] < explanation()["errors"]["held_out_modes"]["before"]
-    assert "mode B3x, held out so far" in set(pd.read_csv("results/mast/next_measurement.csv")["measurement"])
+    assert "mode B3x, validation data so far" in set(pd.read_csv("results/mast/next_measurement.csv")["measurement"])
     misfit = pd.read_csv("results/mast/sensor_misfit.csv")
     assert "B3x" not in set(misfit["mode"]) and "2x" not in set(misfit["sensor"])
 

@@ -118,7 +118,7 @@ def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, edit, undrawn, m
     wanted = wanted if method == "genetic" else wanted[1:2]
     assert [s for s in order if s in wanted] == wanted
     assert order[0] == "solving the model"
-    assert order[-2:] == ["leave-one-out and held-out errors", "intervals with the misfit"]
+    assert order[-2:] == ["leave-one-out and validation errors", "intervals with the misfit"]
     assert all(0 <= done <= total for _, done, total in listener.told if total)
     shares = [done for stage, done, total in listener.told if stage == "A1, least squares" and total == 1]
     assert len(shares) > 3 and max(shares) > 0.5

@@ -95,7 +95,7 @@ def test_the_output_is_in_order_with_its_numbers(within):
         and added["conclusion"] in end
     )
     errors = pd.read_csv(FOLDER / "added_errors.csv").set_index(["group", "stage"])
-    for words, group in {"used data": "fit", "held-out sensors": UNSEEN[0], "held-out modes": UNSEEN[1]}.items():
+    for words, group in {"used data": "fit", "validation sensors": UNSEEN[0], "validation modes": UNSEEN[1]}.items():
         before, after = errors.loc[(group, "before")], errors.loc[(group, "after")]
         (line,) = [x for x in end.splitlines() if x.startswith(f"{words}  ")]
         assert line.removeprefix(words).split()[:4] == [

@@ -54,7 +54,10 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "docs/tutorial.md", f"2BT by {100 * wrong['value']:.0f} %, which is {wrong['in_std']:.0f} standard deviations"
     wood = read(folder / "pulls.csv", "model", "parameter").loc[("base", "E_wood")]
     yield "docs/tutorial.md", f"{100 * (wood['value'] / wood['nominal'] - 1):.0f} % stiffer"
-    yield "docs/tutorial.md", f"a pull of {wood['standardised']:.1f} where chance allows {wood['limit']:.1f}"
+    yield (
+        "docs/tutorial.md",
+        f"of {wood['standardised']:.1f} times its expected deviation where chance allows {wood['limit']:.1f}",
+    )
 
     effects, n_local = read(folder / "effects.csv", "name"), found["local_perturbations"]
     unit, mass = effects.loc["brake_unit"], effects.loc["crossbar_mass"]
@@ -73,7 +76,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
 
     threshold = np.log(len(effects)) + 3
     yield "docs/tutorial.md", f"this study has {len(effects)} effects"
-    yield "docs/tutorial.md", f"{n_local} local perturbations"
+    yield "docs/tutorial.md", f"{n_local} local stiffness or mass changes"
     yield "docs/tutorial.md", f"is {unit['ln_bayes']:.0f}; the next effect has {mass['ln_bayes']:.0f}"
     yield "docs/decision.md", f"| {threshold:.1f} for {len(effects)} effects |"
     yield "docs/decision.md", f"largest score {effects['z'].abs().max():.0f}"
@@ -81,14 +84,18 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "docs/decision.md", f"on the crossbars, {mass['ln_bayes']:.0f} and only"
     places = read(folder / "why_places.csv", "perturbation")["correlation"]
     like = places.abs().idxmax()
-    yield "docs/decision.md", f"{like.removeprefix('added ')}, whose signature has a correlation of {places[like]:.2f}"
+    yield (
+        "docs/decision.md",
+        f"{like.removeprefix('added ')}, whose change pattern has a correlation of {places[like]:.2f}",
+    )
 
     left, errors = found["adequacy_p_family"], read(folder / "errors.csv", "group", "stage")
     rest = "p > 0.1" if left > 0.1 else f"p = {left:.2f}"  # samples differ with the rounding of a machine
     yield "docs/tutorial.md", f"({rest})"
     yield (
         "docs/decision.md",
-        f"{rest} over {len(effects)} effects, {n_local} local perturbations and {found['faults']} faults of",
+        f"{rest} over {len(effects)} effects, {n_local} local stiffness or mass changes and "
+        f"{found['faults']} measurement errors",
     )
     yield "docs/decision.md", f"the worst kind of data or mode shape has p = {found['adequacy_p_fit']:.3f}"
     yield "docs/decision.md", f"{errors['rows']['fit', 'before']:.0f} used values"
@@ -107,9 +114,12 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     own = re.search(r"computed at (\S+ Hz)", "\n".join(gains.index.get_level_values(0)))
     assert own is not None
     yield "docs/tutorial.md", f"adds a mode at {own[1]}"
-    best = gains["mode 9BT, held out so far"].max()
+    best = gains["mode 9BT, validation data so far"].max()
     yield "docs/tutorial.md", f"{IN_WORDS[int((~effects['visible']).sum())]} other effects"
-    yield "docs/tutorial.md", f"Mode 9BT, held out so far, would raise the score of one of them {IN_WORDS[round(best)]}"
+    yield (
+        "docs/tutorial.md",
+        f"Mode 9BT, validation data so far, would raise the score of one of them {IN_WORDS[round(best)]}",
+    )
 
 
 def of_the_rig(results: Path) -> Iterator[Statement]:

@@ -218,7 +218,7 @@ def of_the_study(folder):
     errors = pd.read_csv(folder / "data_errors.csv").set_index("group")
     used, sensor, band = errors["rms"][["fit", "held_out_sensors", "held_out_bands"]]
     expected = set(errors.loc[["fit", "held_out_sensors", "held_out_bands"], "expected"].round(2))
-    yield f"is {used:.2f} standard deviations in the data used, {sensor:.2f} at the held-out response and {band:.2f} in"
+    yield f"is {used:.2f} standard deviations in the data used, {sensor:.2f} at the validation response and {band:.2f}"
     yield "would show {:.2f}: the verdict is that the model does not fit".format(*expected)
     truth = json.loads((ROOT / "tests/truth/solar_panel.json").read_text("utf-8"))["parameters"]
     found = pd.read_csv(folder / "verdicts.csv").set_index("parameter").loc[list(truth)]

@@ -55,7 +55,7 @@ def test_what_is_left_near_the_place_of_the_effect_is_told_so(inside):
     assert (
         near.near
         and near.distance < 0.4
-        and near.sentence.startswith("What is left sits near it: local perturbations ")
+        and near.sentence.startswith("What is left sits near it: local stiffness or mass changes ")
     )
     assert not far.near and far.distance > 1 and far.sentence.startswith("What is left sits elsewhere: ")
     both = remainder_of(found, places(12.0), [(0.0, 0.0, 0.0), (12.1, 0.0, 0.0)], modes)

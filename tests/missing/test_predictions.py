@@ -112,5 +112,5 @@ def test_the_sentence_counts_what_lies_inside():
     held, wide, changes = world(4, 3.0)
     table, errors = prediction_tables({"held_out_sensors": held}, wide, {"held_out_sensors": changes})
     inside, beside = int(table["inside"].sum()), int(table["inside_unexplained"].sum())
-    assert f"held-out sensors {inside} and {beside} of {HELD} (rms error " in predictions_sentence(table, errors)
+    assert f"validation sensors {inside} and {beside} of {HELD} (rms error " in predictions_sentence(table, errors)
     assert predictions_sentence(pd.DataFrame(), pd.DataFrame(columns=list(ERROR_COLUMNS))) == ""

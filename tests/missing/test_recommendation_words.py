@@ -107,13 +107,15 @@ def test_at_most_three_measurements_are_recommended():
     assert sentence_of(table, None, [f"E{k}" for k in range(6)]).count("times the score") == 3
 
 
-USE_4BT = "let the fit use mode 4BT, measured and held out so far"
+USE_4BT = "let the fit use mode 4BT, measured as validation data so far"
 VERIFIES = f" {AVERAGED} {USED}"
 
 
 def test_a_held_out_mode_is_recommended_with_the_best_new_measurement():
     held = f"mode 4BT{HELD_OUT}"
-    table = table_of((held, "E0", 5.0), ("mode 9BT, held out so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9))
+    table = table_of(
+        (held, "E0", 5.0), ("mode 9BT, validation data so far", "E0", 4.0), ("A", "E0", 2.0), ("B", "E0", 1.9)
+    )
     sentence = sentence_of(table, None, ["E0"])
     assert sentence == (
         f"To see further effects, {USE_4BT}: 5 times the score of E0, or measure A: 2 times the score of E0.{VERIFIES}"
@@ -133,7 +135,7 @@ def test_in_short_a_held_out_mode_is_not_to_be_measured_but_used():
     short = recommendation(table, None, ["E0", "E1", "E2"]).short
     assert short == f"To see further effects, {USE_4BT}; or measure A or B."
     alone = recommendation(table, None, ["E0"]).short
-    assert alone == "To see further effects, let the fit use mode 4BT, measured and held out so far."
+    assert alone == "To see further effects, let the fit use mode 4BT, measured as validation data so far."
 
 
 def test_a_held_out_mode_for_a_pair_is_recommended_with_the_best_new_measurement():

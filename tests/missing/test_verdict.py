@@ -59,7 +59,9 @@ def test_units_are_stated_and_a_missing_unit_is_left_out(cases, verdict):
 def test_the_p_values_are_those_of_the_family_and_of_the_fit(cases, verdict):
     found = cases[verdict]
     adequacy = found.base_adequacy
-    counts = f"{len(found.groups)} effects and {len(set(adequacy.perturbations.owners))} local perturbations"
+    counts = (
+        f"{len(found.groups)} effects and {len(set(adequacy.perturbations.owners))} local stiffness or mass changes"
+    )
     other = replace(found, base_adequacy=replace(adequacy, p_named=0.002, p_perturbations=1.0, p_fit=0.03))
     assert f"p = 0.004 for the largest score of {counts}, p = 0.03 for {WORST}" in text_of(other)
 
@@ -124,14 +126,14 @@ def test_a_contradiction_by_held_out_data_is_stated_with_their_error(cases):
     table.loc[after, "stage"] = "attempt"
     text = text_of(found, some_errors=table)
     assert "a lack of E2" in text and "0.97 -> 4.57 (noise floor 1.00, p < 0.0004)" in text
-    assert "model_probability" not in text and "held-out sensors" not in text and "nan" not in text
+    assert "model_probability" not in text and "validation sensors" not in text and "nan" not in text
 
 
 @pytest.mark.parametrize(("after", "p", "worse"), [(1.05, 0.3, False), (1.05, 1e-4, True), (0.9, 1e-4, False)])
 def test_a_larger_error_counts_when_it_is_significant(cases, after, p, worse):
     table = errors(held_out_modes=after)
     table.loc[(table["group"] == "held_out_modes") & (table["stage"] == "after"), "p"] = p
-    assert ("held-out modes got worse" in text_of(cases["effect"], some_errors=table)) == worse
+    assert ("validation modes got worse" in text_of(cases["effect"], some_errors=table)) == worse
 
 
 # -- merged effects, visibility, errors --------------------------------------------------------------------------------
@@ -188,7 +190,7 @@ def test_errors_are_those_of_the_table_with_the_noise_floor(cases):
     assert (
         "Error in standard deviations, of the fits behind this answer: "
         "data left out in turn 3.28 -> 1.16 (noise floor 1.19), "
-        "held-out sensors 1.93 -> 0.89 (noise floor 1.04), held-out modes 0.97 -> 0.94 (noise floor 1.00)." in text
+        "validation sensors 1.93 -> 0.89 (noise floor 1.04), validation modes 0.97 -> 0.94 (noise floor 1.00)." in text
     )
     assert "got worse" not in text
     assert "Error in units" not in text_of(cases["effect"], some_errors=errors().head(0))

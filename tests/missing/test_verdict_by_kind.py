@@ -119,7 +119,7 @@ def test_a_measurement_fault_is_stated_beside_the_effect(toy):
     found = first(replace(made, perturbations=perturbations), {"E2": 1.0}, "indistinguishable")
     text = text_of(found)
     assert found.equally_good == ("E2", "A5") and "a lack of E2, " in text and "lack of E3" not in text
-    assert f"a fault of the measurement: {local_perturbation(found.fault).in_words}" in text
+    assert f"a measurement error: {local_perturbation(found.fault).in_words}" in text
     bayes_factor = math.exp(abs(found.chosen.ln_evidence - found.fault.ln_evidence))
     assert f"The odds of the first against the second are {bayes_factor:.2g}:1." in text and 1 <= bayes_factor < 20.1
     assert "Look for a broken E2. Or check how A5 was measured." in text

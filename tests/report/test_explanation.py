@@ -259,7 +259,7 @@ def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synth
     for figure in saved.values():
         assert SYNTHETIC in [t.get_text() for t in figure.texts]
     heading = [t.get_text().replace("\n", " ") for t in saved["perturbation_map"].texts]
-    assert "Bogie: scores of local perturbations: places to inspect, not causes" in heading
+    assert "Bogie: scores of local stiffness or mass changes: places to inspect, not causes" in heading
 
 
 @pytest.mark.mostly_slow(1)

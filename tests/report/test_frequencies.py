@@ -36,7 +36,7 @@ def test_axis_and_heading_name_the_kind_of_frequency(modes, kind):
 
 def test_held_out_modes_are_labelled_and_enter_no_mean(modes):
     ax = draw_frequencies(modes)
-    assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (held out)", "3BT"]
+    assert [t.get_text() for t in ax.get_yticklabels()] == ["1BT", "2BT (validation)", "3BT"]
     words = [t.get_text() for t in ax.get_legend().get_texts()]
     assert words == ["before calibration", "after calibration"]
 

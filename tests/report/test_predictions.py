@@ -10,7 +10,7 @@ from calib.report.html.write import sections
 from calib.report.predictions import draw_predictions
 from tests.report.html.page_blocks import Table, section_blocks
 
-CAPTION = "Held-out data by the base model, alone and with the unexplained misfit"
+CAPTION = "Validation data by the base model, alone and with the unexplained misfit"
 
 
 def blocks_of_errors(folder):
@@ -66,7 +66,7 @@ def test_dots_and_bars_are_distances_from_the_prediction_in_half_intervals_of_th
         ends, [[-2.0, 3.0], [-2.0, 2.4], [-0.5, 3.0]]
     )  # the lower half interval of the last is 1
     assert len(words) == 3 and ("12%20Hz" in words[2] or "12 Hz" in words[2]) == freq
-    assert [t.get_text() for t in ax.get_xticklabels()] == ["held-out sensors", "held-out modes"]
+    assert [t.get_text() for t in ax.get_xticklabels()] == ["validation sensors", "validation modes"]
     assert ax.get_yscale() == "linear" and is_legible(ax.figure)
 
 
@@ -98,7 +98,7 @@ def test_a_value_without_a_finite_interval_is_counted_and_not_drawn(unbounded):
     assert len(bars(ax)[0]) == 2
     plan = Figures(folder, "Bogie", True).plan
     np.testing.assert_allclose(dots(plan["held_out_predictions"].draw().axes[0], "outside"), [[1, 4.0]])
-    assert table_of(blocks_of_errors(folder)).rows[0][:3] == ("held-out sensors", "1 of 2", "2 of 2")
+    assert table_of(blocks_of_errors(folder)).rows[0][:3] == ("validation sensors", "1 of 2", "2 of 2")
 
 
 def test_without_any_finite_interval_the_figure_says_so():
@@ -113,8 +113,8 @@ def test_the_page_counts_and_tells_what_the_tables_hold(tmp_path):
     blocks = blocks_of_errors(tmp_path)
     table, names = table_of(blocks), [getattr(block, "name", "") for block in blocks]
     words = blocks[names.index("held_out_predictions") - 1]
-    assert table.rows[0][:5] == ("held-out sensors", "1 of 2", "2 of 2", "3.50", "1.10")
-    assert table.rows[1][:5] == ("held-out modes", "0 of 1", "0 of 1", "2.50", "1.05")
+    assert table.rows[0][:5] == ("validation sensors", "1 of 2", "2 of 2", "3.50", "1.10")
+    assert table.rows[1][:5] == ("validation modes", "0 of 1", "0 of 1", "2.50", "1.05")
     assert table.rows[0][5] == "1.30" and "noise of the measurement" in words.text
 
 

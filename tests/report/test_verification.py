@@ -40,7 +40,7 @@ def labels(axis):
 
 def test_dots_are_the_errors_of_the_groups_in_the_table(errors):
     ax = draw_errors(errors)
-    assert labels(ax.get_xticklabels()) == ["used in the fit", "held-out sensors"]
+    assert labels(ax.get_xticklabels()) == ["used in the fit", "validation sensors"]
     np.testing.assert_array_equal(dots(ax, "before").get_ydata(), [4.0, 2.0])
     np.testing.assert_array_equal(dots(ax, "after").get_ydata(), [0.9, 1.0])
     assert labels(ax.texts) == ["4.00\np < 0.001", "2.00\np < 0.001", "0.90", "1.00\np = 0.4"]

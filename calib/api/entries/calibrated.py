@@ -22,7 +22,7 @@ ERRORS = ("rows", "rms", "of a correct model", "p")
 ERRORS_TITLE = "Errors in standard deviations:"
 _WHY = {
     "misfit": "the model does not fit",
-    "held_out": "held-out data contradict",
+    "held_out": "validation data contradict",
     "few_data": "too few data to see a model error",
     "wide": "std too large",
     "prior": "rests on the prior",
@@ -224,7 +224,7 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         of = _FREQUENCIES[str(result.modes["freq_kind"].iloc[0])]
         title = f"{of} of every measured mode, and their errors:"
         if result.modes["held_out"].any():
-            title = title[:-1] + "; MAC over the sensors used, of held-out modes over all:"
+            title = title[:-1] + "; MAC over the sensors used, of validation modes over all:"
         yield Rows.of(title, ("mode", "measured Hz", *stages, *heads), rows)
     elif result.responses is not None:
         rows = [
@@ -245,7 +245,7 @@ _FREQUENCIES = {"natural": "Natural frequencies (|lambda|/2pi)", "damped": "Damp
 
 
 def _named(row: Mapping[Any, Any], what: str) -> str:
-    return str(row[what]) + (" (held out)" if row["held_out"] else "")
+    return str(row[what]) + (" (validation)" if row["held_out"] else "")
 
 
 def _cases(result: Calibration) -> Rows:

@@ -36,8 +36,8 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
     found, answer = result.explanation, result.answer
     in_answer = {answer.found, answer.sure}
     rows = [_effect(r) for r in result.effects.to_dict("records")]
-    heads = ("effect", "z", "ln Bayes", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
-    title = "Effects of the library, best first:"
+    heads = ("effect", "z", "evidence", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
+    title = "Possible causes, best first:"
     brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
     named = [head for head in heads if head not in _MORE]
     out: list[Entry] = [
@@ -57,12 +57,12 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         *map(Words, held_out(study)),
     ]
     effects = count(sum(len(g.names) for g in found.groups), "effect")
-    local = count(len(result.tables["perturbations"]), "local perturbation")
+    local = count(len(result.tables["perturbations"]), "local stiffness or mass change")
     fits = count(len(result.tables["candidate_fits"]), "model")
     work = f"{fits} fitted, {count(found.evaluations, 'model evaluation')}"
     out.append(Words(f"{effects} and {local} tested, {work}, {result.seconds:.0f} s."))
     if rows:
-        against = "ln Bayes is against the base model, for the plausible size of each effect"
+        against = "the evidence is the log Bayes factor against the base model, for the plausible size of each cause"
         out.append(Words(f"z is a score, not a probability; {against}."))
     return out
 
@@ -161,7 +161,7 @@ def _predictions(result: ExplanationResult) -> list[Rows]:
         numbers = [decimals(r[name], 2) for name in ("rms", "expected", "expected_unexplained")]
         data = of_test(r[TEST], WORDS[r["group"]]) if several else WORDS[r["group"]]
         rows.append((data, *inside, *numbers, p_cell(r["p_unexplained"])))
-    title = "Held-out data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
+    title = "Validation data inside the 95 % intervals of their predictions, of the fit alone and with the misfit:"
     heads = ("data", "alone", "with it", "rms error", "expected alone", "expected with it", "p with it")
     return [Rows.of(title, heads, rows)]
 
@@ -183,7 +183,7 @@ def _steps(result: ExplanationResult) -> list[Rows]:
         for r in result.tables[STEPS].to_dict("records")
     ]
     title = "Effects taken in one after the other; rms errors in standard deviations:"
-    heads = ("step", "effects", "ln Bayes", *(WORDS[group] for group in groups))
+    heads = ("step", "effects", "evidence", *(WORDS[group] for group in groups))
     return [
         Rows.of(
             title, heads, rows, left=("effects",), when="always" if result.explanation.names_something else "verbose"

@@ -17,8 +17,8 @@ from calib.study.study_file import StudyFile, shell_argument
 def proposed_entries(result: ProposalResult) -> list[Entry]:
     """Proposals."""
     rows = [_row(r) for r in result.table.to_dict("records")]
-    heads = ("", "effect", "kind", "at", "magnitude, 95 %", "ln Bayes", "of", "remark")
-    title = "Proposals, best first by ln Bayes less ln of the number of its kind:"
+    heads = ("", "effect", "kind", "at", "magnitude, 95 %", "evidence", "of", "remark")
+    title = "Proposals, best first by evidence less ln of the number of its kind:"
     out: list[Entry] = [Rows.of(title, heads, rows, left=("effect", "kind", "at", "remark"))]
     out += [Words(sentence, when="always") for sentence in result.sentences]
     if result.proposals is not None:

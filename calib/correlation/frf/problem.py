@@ -36,7 +36,9 @@ def assumed_frfs(frfs: MeasuredFRFs) -> tuple[Assumption, ...]:
     if not (np.isfinite(frfs.values) & ~np.isfinite(frfs.total_std)).any():
         return ()
     reason = "neither repeats nor coherence are given"
-    return (Assumption("standard deviation of FRFs", f"{100 * RULES.unknown_frf_std:g}", "% of each modulus", reason),)
+    return (
+        Assumption("standard deviation of FRFs", f"{100 * RULES.unknown_frf_std:g}", "% of each amplitude", reason),
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -283,11 +283,11 @@ def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFa
             )  # fmt: skip
     real = is_real(measured.shapes) if measured.has_shapes else np.zeros(0, dtype=bool)
     if real.any():
-        name = "shapes given as modulus and sign"
+        name = "shapes given as amplitude and sign"
         yield ModalFault(
             _sized(name, 1.0, 0.0, 2.0), name, "Real shapes are the parts in phase.",
             "Ask for complex shapes, or for the parts in phase.",
-            lambda by: "the real shapes are moduli with a sign, not the parts in phase",
+            lambda by: "the real shapes are amplitudes with a sign, not the parts in phase",
             "modulus", modulus=True,
         )  # fmt: skip
 

@@ -268,11 +268,11 @@ def covariance_root(covariance: np.ndarray, names: Sequence[str]) -> np.ndarray:
     """Matrix B with ``B B^T`` the covariance, (n_params, n_params)."""
     v = np.asarray(covariance, dtype=float)
     if v.shape != (len(names), len(names)):
-        raise InputError(f"{len(names)} parameters, but a covariance {v.shape}", place="held-out data")
+        raise InputError(f"{len(names)} parameters, but a covariance {v.shape}", place="validation data")
     if not np.all(np.isfinite(v)):
         raise InputError(
             "the covariance of the fitted parameters is not finite",
-            place="held-out data",
+            place="validation data",
             remedy="give every fitted parameter a prior",
         )
     std = np.sqrt(np.diag(v))
@@ -288,7 +288,7 @@ def _used(fitted: ModalProblem, whole: ModalProblem) -> tuple[tuple[str, ...], t
     known = {s.name for s in whole.measured.sensors}
     foreign += [s for s in sensors if s not in known]
     if foreign:
-        raise InputError(f"{', '.join(foreign)} is used but not part of the whole measurement", place="held-out data")
+        raise InputError(f"{', '.join(foreign)} is used but not part of the whole measurement", place="validation data")
     return modes, sensors
 
 

@@ -35,9 +35,9 @@ def library_text(proposals: Sequence[Proposal], study: str, beside: Sequence[str
     head = [
         f'"""Effects that may be missing in the model of: {_plain(study)}.',
         "",
-        "Composed by calib from local perturbations of the model: nobody listed them. Names, limits, plausible sizes",
-        "(prior_sd) and places are guesses from the data alone; correct what you know better. The fitted magnitudes",
-        "stand in the comments.",
+        "Composed by calib from local stiffness or mass changes of the model: nobody listed them. Names, limits,",
+        "plausible sizes (prior_sd) and places are guesses from the data alone; correct what you know better. The",
+        "fitted magnitudes stand in the comments.",
         '"""',
         "",
         "from calib import Effect, Parameter",
@@ -77,8 +77,8 @@ def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
     unit = effect.magnitude.unit
     fitted = f"fitted {proposal.value:.3g}{'' if unit == '-' else f' {unit}'}"
     comment = (
-        f"Rank {rank}: composed from the local perturbations ({composed.kind}) at {composed.at}; {fitted} "
-        f"(95 %: {range_words(proposal.low, proposal.high, unit)}), ln Bayes {proposal.ln_bayes:.1f} against the model"
+        f"Rank {rank}: composed from the local stiffness or mass changes ({composed.kind}) at {composed.at}; {fitted} "
+        f"(95 %: {range_words(proposal.low, proposal.high, unit)}), evidence {proposal.ln_bayes:.1f} against the model"
         f"{' with ' + ' and '.join(beside) if beside else ''}, one of {proposal.choices} of its kind."
     )
     if proposal.alike:

@@ -78,7 +78,7 @@ def _told_in(effect: Candidate) -> tuple[str, float]:
 
 def answer_of(found: Proposals) -> Answer:
     """What is proposed, how sure that is, and what to do next; of a search without a proposal why there is none."""
-    tested = f"{found.tested} compositions of local perturbations were tested"
+    tested = f"{found.tested} compositions of local stiffness or mass changes were tested"
     if not found.ranked:
         apart = found.p_family <= found.alpha
         none = "a place stands out, but no composition explains it" if apart else "no place stands out"
@@ -88,7 +88,7 @@ def answer_of(found: Proposals) -> Answer:
             "Measure with more sensors or more modes, or check the standard deviations; then explain again.",
         )
     best, *others = found.close
-    evidence = f"ln Bayes {best.ln_bayes:.1f}, chosen among {best.choices} of its kind; {tested}"
+    evidence = f"evidence {best.ln_bayes:.1f}, chosen among {best.choices} of its kind; {tested}"
     if found.measurement:
         blamed = fault_words(found.fault) if found.fault is not None else ""
         datum = "" if found.datum is None else found.datum.in_words
@@ -110,7 +110,7 @@ def answer_of(found: Proposals) -> Answer:
     rest = "nothing systematic is left" if left > found.alpha else "a misfit is left, so it is not the whole truth"
     doubt = f" It is implausible: {best.candidate_fit.implausible}." if best.candidate_fit.implausible else ""
     sure = f"{evidence[:1].upper()}{evidence[1:]}. With it{beside} {rest} ({p_words(left)}).{doubt}"
-    return Answer(words, sure, "Look at that place; the proposals are no effects of your library until you test them.")
+    return Answer(words, sure, "Look at that place; the proposals join your list of causes once you have tested them.")
 
 
 def no_proposals() -> pd.DataFrame:
@@ -129,7 +129,7 @@ def not_sought(verdict: str, named: Sequence[str], remedy: str) -> Answer:
     if verdict == "measurement":
         return Answer(
             f"Nothing is proposed: the measurement is the suspect, {names}.",
-            "The explanation found that a fault of the measurement explains the data better than any effect.",
+            "The explanation found that a measurement error explains the data better than any effect.",
             "Correct the measurement, and explain again.",
         )
     if verdict == "noise_underestimated":
@@ -147,7 +147,7 @@ def not_sought(verdict: str, named: Sequence[str], remedy: str) -> Answer:
     if verdict == "indistinguishable":
         remedy = "measure what tells them apart: the explanation recommends it"
     return Answer(
-        f"Nothing is proposed: effects of the library explain the data, {names}.",
+        f"Nothing is proposed: listed causes explain the data, {names}.",
         f"The verdict of the explanation is {verdict}.",
         f"{remedy[:1].upper()}{remedy[1:]}.",
     )

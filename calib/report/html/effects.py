@@ -75,7 +75,7 @@ def _remarks(r: Mapping[Hashable, Any], predicted: bool, best: Mapping[Hashable,
 def _behind(best: Mapping[Hashable, Any] | None, ln_bayes: float) -> str:
     """Why an effect with evidence was not refitted: that of the best credible one is larger."""
     lead = 0.0 if best is None else float(best["ln_bayes"]) - ln_bayes
-    less = f"ln Bayes less than {best['name']} by {fixed(lead, 1)}; " if best is not None and lead > 0 else ""
+    less = f"evidence less than {best['name']} by {fixed(lead, 1)}; " if best is not None and lead > 0 else ""
     return f"{less}linear prediction only"
 
 

@@ -50,8 +50,8 @@ def named_faults(table: pd.DataFrame) -> str:
         return f"The verdict names {'; or '.join(blamed)}."
     if beyond:
         scores = f"{beyond} of {len(table)} scores lie beyond their limit"
-        return f"No fault is named; {scores}: what the model lacks takes some of them along."
-    return "No fault is named, and none stands out."
+        return f"No measurement error is named; {scores}: what the model lacks takes some of them along."
+    return "No measurement error is named, and none stands out."
 
 
 def faults_in_words(table: pd.DataFrame) -> list[str]:

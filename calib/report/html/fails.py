@@ -14,7 +14,7 @@ from calib.report.numbers import fixed, flag, p_in_words
 from calib.report.where import sensor_rms
 
 TESTS = {
-    "p_family": "all effects and local perturbations, jointly",
+    "p_family": "all causes and local stiffness or mass changes, jointly",
     "p_fit": "worst kind of data or mode shape of the base model",
     "adequacy_p_family": "all others jointly, after adding the named or attempted effects",
     "adequacy_p_fit": "worst kind of data or mode shape after adding them",
@@ -58,7 +58,7 @@ def _p(results: StudyResults) -> Limit | None:
         "p is the probability that noise alone takes data of a correct model at least this far off; at or "
         "below the limit the model is rejected. Of the worst kind of data or mode shape it is corrected for their "
         "number (Bonferroni); of a group of data, in the table of errors, it is that of the whole sum of squares, in "
-        f"which one bad kind may not show. Held-out data contradict the model below {CONTRADICTED:g}"
+        f"which one bad kind may not show. Validation data contradict the model below {CONTRADICTED:g}"
     )
     return Limit("p-value", f"{alpha:g}", meaning, "; ".join(below) or NONE)
 
@@ -87,10 +87,15 @@ def _pulls(results: StudyResults) -> Limit | None:
     pulled = [f"{r['parameter']} ({r['model']})" for r in flagged(table, "pulled").to_dict("records")]
     count = int((table["model"] == table["model"].iloc[0]).sum())
     meaning = (
-        f"noise alone pulls any of the {count} parameters further in {100 * BY_CHANCE:g} % of all cases; a parameter "
+        f"noise alone shifts any of the {count} parameters further in {100 * BY_CHANCE:g} % of all cases; a parameter "
         "beyond it stands in for something that the model lacks"
     )
-    return Limit("pull of a parameter", f"± {' or '.join(sizes)}", meaning, ", ".join(pulled) or NONE)
+    return Limit(
+        "shift of a parameter over its expected deviation",
+        f"± {' or '.join(sizes)}",
+        meaning,
+        ", ".join(pulled) or NONE,
+    )
 
 
 def _evidence(results: StudyResults) -> Limit | None:
@@ -102,15 +107,15 @@ def _evidence(results: StudyResults) -> Limit | None:
     credible, predicted = beyond["credible"].map(flag).astype(bool), only_predicted(table)[beyond.index]
     groups = {
         "": credible,
-        "not credible: ": ~credible & ~predicted,
-        "not credible, linear prediction only: ": predicted,
+        "out: ": ~credible & ~predicted,
+        "out, linear prediction only: ": predicted,
     }
     named = [f"{words}{', '.join(map(str, beyond.loc[some, 'name']))}" for words, some in groups.items() if some.any()]
     meaning = (
         f"an effect is named only above it: {LEAST_BAYES_FACTOR:g} for odds of 20 to 1, and ln {count} for the choice "
         f"among {count}, the best of which fits noise too"
     )
-    return Limit("ln Bayes of an effect", fixed(limit, 1), meaning, "; ".join(named) or NONE)
+    return Limit("evidence of an effect", fixed(limit, 1), meaning, "; ".join(named) or NONE)
 
 
 def _scores(results: StudyResults) -> Limit | None:
@@ -124,7 +129,7 @@ def _scores(results: StudyResults) -> Limit | None:
         "beyond it is a place to inspect"
     )
     beyond = f"{count} of {len(table)}" if count else NONE
-    return Limit("score z of a local perturbation", f"± {fixed(limit, 1)}", meaning, beyond)
+    return Limit("score z of a local stiffness or mass change", f"± {fixed(limit, 1)}", meaning, beyond)
 
 
 @dataclass(frozen=True, eq=False)

@@ -281,12 +281,12 @@ def _sensors(results: StudyResults, structure: _Structure) -> tuple[dict[str, An
         return None
     feet = placed[PLACE].to_numpy(dtype=float)
     held = [flag(value) for value in placed["held_out"]]
-    looks = {False: (BLUE, "used"), True: (MEASURED, "held out")}
+    looks = {False: (BLUE, "fitted"), True: (MEASURED, "validation")}
     names = [
-        f"{r['sensor']}, direction {r['direction']}{', held out' if h else ''}"
+        f"{r['sensor']}, direction {r['direction']}{', validation' if h else ''}"
         for r, h in zip(placed.to_dict("records"), held, strict=True)
     ]
-    words = f"{counted(len(placed), 'sensor')}, {sum(held)} of them held out"
+    words = f"{counted(len(placed), 'sensor')}, {sum(held)} of them for validation"
     tips = sensor_tips(placed, np.concatenate([structure.points, feet]))
     colours = [looks[h][0] for h in held]
     sizes = np.full(len(placed), 0.2)
@@ -365,6 +365,6 @@ def _perturbations(results: StudyResults) -> list[tuple[dict[str, Any], np.ndarr
             "places to inspect, not causes"
         )
         colours = [VERMILLION if b else SKY for b in beyond]
-        dots, title = placed[PLACE].to_numpy(dtype=float), f"Local perturbations of {kind}"
+        dots, title = placed[PLACE].to_numpy(dtype=float), f"Local stiffness or mass changes of {kind}"
         layers.append(_layer(f"perturbations of {kind}", title, words, dots, None, size / largest, colours, names, key))
     return layers

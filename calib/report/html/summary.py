@@ -14,11 +14,11 @@ from calib.report.numbers import fixed, flag, percent, significant, with_unit
 DATA = {
     "fit": "error in fitted data",
     "left_out": "leave-one-out error",
-    "held_out_sensors": "error at held-out sensors",
-    "held_out_modes": "error in held-out modes",
-    "held_out_responses": "error in held-out responses",
-    "held_out_references": "error at held-out references",
-    "held_out_bands": "error in held-out bands",
+    "held_out_sensors": "error at validation sensors",
+    "held_out_modes": "error in validation modes",
+    "held_out_responses": "error in validation responses",
+    "held_out_references": "error at validation references",
+    "held_out_bands": "error in validation bands",
 }
 
 _MEASURED = {"modes": "mode", "responses": "response", "frf": "FRF"}

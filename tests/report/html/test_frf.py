@@ -42,10 +42,10 @@ def test_every_measured_function_is_told_with_its_use(chain, blocks):
     assert [row[0] for row in found.rows] == names
     assert [int(row[1]) for row in found.rows] == expected["lines"].tolist()
     assert [number(row[3]) for row in found.rows] == pytest.approx(expected["freq_max"].tolist(), rel=1e-4)
-    assert [row[4] for row in found.rows] == ["held out" if held else "used" for held in expected["held_out"]]
+    assert [row[4] for row in found.rows] == ["validation" if held else "fitted" for held in expected["held_out"]]
     (intro,) = [b.text for b in blocks if isinstance(b, Words) and "frequency response functions" in b.text]
     held = [name for name, out in zip(names, expected["held_out"], strict=True) if out]
-    assert (f"Held out from every fit: {', '.join(held)}." if held else "No function is held out.") in intro
+    assert (f"Validation data, in no fit: {', '.join(held)}." if held else "No function is kept") in intro
 
 
 def test_notes_on_the_measurement_are_reported(chain, tmp_path):

@@ -88,7 +88,7 @@ def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted
     told = f"{first}; not credible: {second}, {fourth}; not credible, linear prediction only: {third}"
     assert key(folder, blocks)["ln"][3] == told
     shown = {row[1]: row[-1] for row in blocks(folder, Table)["Every listed effect, ranked"].rows}
-    words = f"ln Bayes less than {first} by 153.5; linear prediction only"
+    words = f"evidence less than {first} by 153.5; linear prediction only"
     assert words in shown[third] and not any("linear" in remark for name, remark in shown.items() if name != third)
 
 

@@ -95,7 +95,7 @@ def test_every_sensor_stands_at_its_place_along_its_direction(everything, result
     dots, feet = unpacked(shown["points"]), unpacked(shown["feet"])
     rows = {name.split(",")[0]: k for k, name in enumerate(shown["names"])}
     assert rows.keys() == {*sensors["sensor"]}
-    held = {name: colour for name, colour in zip(shown["names"], shown["colours"], strict=True) if "held out" in name}
+    held = {name: colour for name, colour in zip(shown["names"], shown["colours"], strict=True) if "validation" in name}
     assert {name.split(",")[0] for name in held} == {*sensors.loc[sensors["held_out"], "sensor"]}
     assert len({*held.values()}) == 1 and len({*shown["colours"]}) == 2
     for row in sensors.to_dict("records"):

@@ -21,7 +21,7 @@ def test_measured_modes_are_those_of_the_table(everything, read, reader):
     assert [r[0] for r in rows] == list(table["mode"])
     np.testing.assert_allclose([reader.number(r[1]) for r in rows], table["natural_freq"], atol=0.000501)
     np.testing.assert_allclose([reader.number(r[2]) for r in rows], table["freq_std"], atol=0.000501)
-    assert [r[-1] for r in rows] == ["held out" if held else "used" for held in table["held_out"]]
+    assert [r[-1] for r in rows] == ["validation" if held else "fitted" for held in table["held_out"]]
 
 
 @pytest.mark.parametrize("stage", ["before", "after"])
@@ -50,7 +50,7 @@ def points(words):
 
 def test_the_place_of_every_local_perturbation_stands_beside_it(everything, read):
     known = pd.read_csv(everything / "perturbations.csv").set_index("perturbation")
-    (table,) = [rows for caption, rows in read.tables.items() if caption.startswith("Local perturbations")]
+    (table,) = [rows for caption, rows in read.tables.items() if caption.startswith("Local stiffness or mass changes")]
     assert len(table) > 3
     for row in table[1:]:
         np.testing.assert_allclose(points(row[4]), [known.loc[row[0], ["x", "y", "z"]].astype(float)], atol=0.00501)
@@ -62,7 +62,7 @@ def test_effects_errors_and_candidate_fits_are_those_of_the_tables(everything, r
     assert {r[1] for r in rows} == set(effects.index)
     for row in rows:
         assert reader.number(row[head.index("z")]) == pytest.approx(effects["z"][row[1]], abs=0.0501)
-        assert reader.number(row[head.index("ln Bayes")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
+        assert reader.number(row[head.index("evidence")]) == pytest.approx(effects["ln_bayes"][row[1]], abs=0.0501)
     about = {r[0]: tuple(r[1:]) for r in read.tables["Description of the effects"][1:]}
     acts = pd.read_csv(everything / "effect_places.csv").set_index("effect")
     for name, row in effects.iterrows():
@@ -101,8 +101,8 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
     words = words[: words.index("). ")]
     assert [w.split()[0] for w in words.split("; ")] == list(moved) and "guy" not in words
     modes = pd.read_csv(everything / "added_modes.csv")
-    ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode, held-out"))
-    assert [r[1] for r in rows] == ["held out" if held else "fitted" for held in modes["held_out"]]
+    ((head, *rows),) = (t for name, t in read.tables.items() if name.startswith("Every measured mode, validation"))
+    assert [r[1] for r in rows] == ["validation" if held else "fitted" for held in modes["held_out"]]
     for stage, words in (("initial", "nominal"), ("before", "without guy"), ("after", "with guy")):
         cells = [reader.number(r[head.index(f"error {words}, %")]) for r in rows]
         np.testing.assert_allclose(cells, 100 * modes[f"error_{stage}"], atol=0.00501)
@@ -113,7 +113,7 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
     assert "0.03 % (noise allows 0.16 %)" in top  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
     errors = [f"{rms['held_out_modes', stage]:.2f}" for stage in ("before", "after")]
-    assert f"error in held-out modes {errors[0]} → {errors[1]} σ" in top
+    assert f"error in validation modes {errors[0]} → {errors[1]} σ" in top
 
 
 def test_the_sentences_are_those_in_the_record(everything, read):
@@ -146,7 +146,7 @@ def test_figures_show_the_tables(everything, blocks, painted):
         assert any(w.startswith(label) and f": {fixed(row['rms'], 2)} σ" in w for w in drawn), label
     drawn = hovers(figures.svg("ranked_effects"))
     for row in pd.read_csv(everything / "effects.csv").to_dict("records"):
-        assert any(w.startswith(f"{row['name']}: ln Bayes {fixed(row['ln_bayes'], 1)}") for w in drawn)
+        assert any(w.startswith(f"{row['name']}: evidence {fixed(row['ln_bayes'], 1)}") for w in drawn)
 
 
 def hovers(svg):
@@ -170,7 +170,7 @@ def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
     rows = {
         row[0]: row for row in blocks(folder, Table)["Errors before and after adding guy, both models calibrated"].rows
     }
-    (own,) = (row for label, row in rows.items() if "held-out sensors" in label)
+    (own,) = (row for label, row in rows.items() if "validation sensors" in label)
     assert lost.sum() == 1 and own[3] == "–" and own[2] != "–"
 
 
@@ -234,7 +234,7 @@ def test_held_out_sensors_are_a_candidate_to_be_used(everything):
     candidates, sensors = (pd.read_csv(everything / f"{name}.csv") for name in ("next_measurement", "sensors"))
     held = sensors.loc[sensors["held_out"], "sensor"]
     own = candidates[candidates["kind"] == "sensor"]["measurement"].unique()
-    assert [name for name in own if "held out" in name] == [f"sensors {', '.join(held)}, held out so far"]
+    assert [name for name in own if "validation" in name] == [f"sensors {', '.join(held)}, validation data so far"]
 
 
 def test_the_limits_of_the_search_are_told_beside_those_of_the_sensitivity(folder, reader):
