@@ -52,6 +52,7 @@ FIGURES = {
     "hidden_misfit": Shown("hidden_bogie", "sensor_misfit"),
     "hidden_effects": Shown("hidden_bogie", "ranked_effects"),
     "hidden_why": Shown("hidden_bogie", "why_this_effect"),
+    "hidden_where": Shown("hidden_bogie", "where_this_effect"),
     "hidden_next": Shown("hidden_bogie", "next_measurement"),
     "hidden_errors": Shown("hidden_bogie", "added_errors"),
     "hidden_three_steps": Shown("hidden_three", "error_by_step"),

@@ -2,21 +2,50 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 import pandas as pd
+from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report.numbers import fixed
-from calib.report.scene import PLACE, draw_dots, frame_panel, new_axes, number_points, plot_coordinates, plot_lines
-from calib.report.style import BLACK, REST, YELLOW
+from calib.report.numbers import places as listed
+from calib.report.scene import (
+    FOOT,
+    HEADING,
+    PLACE,
+    colour_bar,
+    draw_dots,
+    frame_panel,
+    new_axes,
+    new_scene,
+    number_points,
+    plot_coordinates,
+    plot_lines,
+    seen_size,
+    show_axes,
+)
+from calib.report.style import BLACK, REST, WIDTH, YELLOW
+from calib.report.why import effect_words, wrapped
 
 ALIKE = 0.5
 """Absolute correlation of two signatures from which a local perturbation tells where an effect acts."""
 CORRELATION, TICKS = Normalize(-1.0, 1.0), (-1.0, -0.5, 0.0, 0.5, 1.0)
 STAR: dict[str, Any] = {"marker": "*", "color": YELLOW, "markersize": 13, "markeredgecolor": BLACK}
+
+
+_HIGHEST = 4.6
+"""Height in inches of the picture of a structure."""
+_LINE = 0.17
+"""Height in inches of a line of words above a panel."""
+_NAMED = 3
+_TOGETHER = 0.02
+"""Distance over the size of the structure within which marks cover each other."""
 
 
 def most_alike(places: pd.DataFrame, effect: str) -> pd.Series | None:
@@ -74,6 +103,74 @@ def draw_alike(
     frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place, stars]), "")
     number_points(ax, place, {} if best is None else {list(rows.index).index(best.name): 1})
     return ax
+
+
+def alike_figure(
+    places: pd.DataFrame,
+    rest: np.ndarray,
+    *,
+    effects: pd.DataFrame | None = None,
+    acts: pd.DataFrame | None = None,
+    attempt: bool = False,
+) -> Figure:
+    """Draw where each effect acts, and what is alike on the structure, see `draw_alike`.
+
+    Parameters
+    ----------
+    places, rest, acts
+        As for `draw_alike`.
+    effects : DataFrame, optional
+        Columns ``name, title, unit, magnitude``, for the headings.
+    attempt : bool
+        Whether the effects are a rejected attempt.
+    """
+    names = [name for name in dict.fromkeys(places["effect"]) if len(located_rows(places, name))]
+    headings = [wrapped(_sentences(places, name, effects, acts, attempt)) for name in names]
+    wide, high = seen_size(rest.reshape(-1, 3), 0.1)
+    panel = min(WIDTH * high / wide + 2 * HEADING, _HIGHEST)
+    heights = [x for words in headings for x in (0.2 + _LINE * (words.count("\n") + 1), panel)]
+    figure = new_scene(sum(heights) + FOOT)
+    grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
+    for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
+        over = figure.add_subplot(grid[2 * k], label="heading")
+        over.set_axis_off()
+        over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
+        draw_alike(places, rest, figure.add_subplot(grid[2 * k + 1], projection="3d"), effect=name, acts=acts)
+    show_axes(figure)
+    colours = ScalarMappable(CORRELATION, "RdBu_r")
+    colour_bar(figure, colours, "ρ with local stiffness or mass changes (–; area: |ρ|)", TICKS)
+    if any(len(acting(acts, name)) for name in names):
+        star = Line2D([], [], linestyle="none", label="where it acts", **STAR)
+        height = float(figure.get_size_inches()[1])
+        figure.legend(handles=[star], loc="lower left", bbox_to_anchor=(1.05 / WIDTH, 0.06 / height), borderaxespad=0.0)
+    return figure
+
+
+def _sentences(
+    places: pd.DataFrame, name: str, effects: pd.DataFrame | None, acts: pd.DataFrame | None, attempt: bool
+) -> list[str]:
+    """The effect, where it acts by the list, and what is most alike by the data, with marks that cover it."""
+    out, stars, best = [effect_words(name, effects, attempt)], acting(acts, name), most_alike(places, name)
+    if len(stars):
+        out.append(f"By the list, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}.")
+    where = alike_words(places, name)
+    out.append(where if best is None else f"Most alike among the local stiffness or mass changes, marked 1: {where}")
+    if best is not None and (covered := coinciding(places, name)):
+        others = ", ".join(covered[:_NAMED]) + (f" and {len(covered) - _NAMED} more" if len(covered) > _NAMED else "")
+        out.append(f"At the same place, drawn over it: {others}.")
+    return out
+
+
+def coinciding(places: pd.DataFrame, effect: str) -> list[str]:
+    """Names and correlations of the perturbations whose marks lie on that of `most_alike`."""
+    best, rows = most_alike(places, effect), located_rows(places, effect)
+    if best is None:
+        return []
+    at = rows[PLACE].to_numpy(dtype=float)
+    near = _TOGETHER * (float(np.linalg.norm(np.ptp(at, axis=0))) or math.inf)
+    off = np.linalg.norm(at - best[PLACE].to_numpy(dtype=float), axis=1)
+    same = rows[(off <= near) & (rows.index != best.name)]
+    return [f"{r['perturbation']} (ρ = {fixed(r['correlation'], 2, sign=True)})" for r in same.to_dict("records")]
 
 
 def alike_words(places: pd.DataFrame, effect: str) -> str:

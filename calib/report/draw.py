@@ -190,11 +190,14 @@ def _worst_comparisons(folder: Folder, stages: Sequence[str], effects: str) -> I
 
 def _sensitivities(folder: Folder) -> Iterator[Drawing]:
     """Sensitivity of the responses, correlation of the inputs, and selection."""
+    path, space = folder / "parameter_space.csv", None
+    if path.exists():
+        space = read_results(path, ["parameter"], ["lower", "upper"], blank=["unit"], unique="parameter")
     for name, (caption, looks) in _MATRICES.items():
         path = folder / f"{name}.csv"
         if path.exists():
             matrix = read_results(path, ["parameter"], others_are_numbers=True)
-            yield Drawing(name, caption, bound(draw_sensitivity, matrix, **looks), (name,))
+            yield Drawing(name, caption, bound(draw_sensitivity, matrix, space=space, **looks), (name,))
     path = folder / "prognosis.csv"
     if path.exists() and (folder / "prognosis_inputs.csv").exists():
         total = read_results(path, ["response"], ["cop"])

@@ -24,7 +24,9 @@ LEAST_BAYES_FACTOR = 3.0
 COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
 _WIDE = 60.0
-"""Largest ln Bayes factor that is drawn on a linear axis."""
+"""Largest log Bayes factor that is drawn on a linear axis."""
+_TICKS = (-3000, -1000, -300, -100, -30, 0, 10, 50, 100, 300, 1000, 3000, 10000, 30000, 100000)
+"""Marks of an axis of roots."""
 _NOTE = (
     "z: score of the effect; noise alone exceeds ±2 in 5 % of cases; negative: the data ask for a negative magnitude.\n"
     "Right: an effect in the shaded range would be visible only beyond its plausible magnitude; arrow: at none."
@@ -69,8 +71,8 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         One dot per effect, the strongest evidence first, with its value, and a cross where the refitted model is
         implausible; thin lines span the prior widths.
         The dashed line is the threshold of the ln Bayes factor for one of n effects, ln n + 3; values below it stand at
-        its right. Linear to 10 and logarithmic beyond where an absolute value exceeds 60. Labels of effects that are
-        not visible are grey.
+        its right. The axis goes by the root, as the score does, where an absolute value exceeds 60. Labels of effects
+        that are not visible are grey.
     """
     rows = ranked(table)
     ax = style.own_axes(ax, _height(len(rows)))
@@ -107,11 +109,12 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     low, high = float(everything.min()), float(everything.max())
     label = "log Bayes factor against the base model (–)"
     if high > _WIDE or low < -_WIDE:
-        ax.set_xscale("symlog", linthresh=10.0)
-        # The value and a word beside the longest bar take about a decade.
-        ax.set_xlim(1.3 * low - 2.0, max(high * 12.0, 400.0))
-        ax.xaxis.set_major_formatter("{x:g}")
-        label += "\nlinear up to 10"
+        ax.set_xscale("function", functions=(_root, _square))
+        # The value and a word stand beside the largest.
+        ax.set_xlim(min(1.3 * low, -2.0), 2.2 * max(high, 100.0))
+        ticks = [t for t in _TICKS if low <= t <= max(high, 100.0)]
+        ax.set_xticks(ticks, [f"{t:g}".replace("-", "−") for t in ticks])
+        label += "\non a scale of square roots"
     else:
         ax.set_xlim(low - 0.03 * (high - low), high + 0.3 * (high - low))
     _name_rows(ax, rows)
@@ -329,6 +332,15 @@ def _beside(ax: Axes, row: float, z: str, likely: str, colour: str) -> None:
 def _height(count: int) -> float:
     """Height in inches of a figure with one row per effect, whose name may take two lines."""
     return 1.6 + 0.36 * max(count, 1)
+
+
+def _root(value: np.ndarray) -> np.ndarray:
+    """Root with the sign of the value."""
+    return np.sign(value) * np.sqrt(np.abs(value))
+
+
+def _square(root: np.ndarray) -> np.ndarray:
+    return np.sign(root) * np.square(root)
 
 
 def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:

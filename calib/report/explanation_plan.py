@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from calib.report.alike import alike_figure
 from calib.report.answer import AnsweredPlace, answer_figure, answered_place
 from calib.report.drawing import Drawing, bound, existing
 from calib.report.explanation import draw_confounding, ranked_effects_figure
@@ -189,13 +190,14 @@ def _effects(folder: Folder, rest: np.ndarray | None, attempt: bool) -> Iterator
         alike = _read(folder, "why_places", ["effect", "perturbation", "kind"], ["x", "y", "z", "correlation"])
         by_test = _read(folder, BY_TEST, ["effects"], ["rows", "before", "after", "share"], unique="effects")
         draw = bound(
-            why_figure, why, alike, rest, effects=effects, parameters=fitted, acts=acts, by_test=by_test,
-            attempt=attempt,
+            why_figure, why, effects=effects, parameters=fitted, by_test=by_test, attempt=attempt
         )  # fmt: skip
-        tables = existing(folder, ["why", "why_parameters", "why_places", BY_TEST, "effect_places"])
-        yield Drawing(
-            "why_this_effect", "residual of the model as it is, and change pattern of the effect", draw, tables
-        )
+        caption = "residual of the model as it is, and change pattern of the effect"
+        yield Drawing("why_this_effect", caption, draw, existing(folder, ["why", "why_parameters", BY_TEST]))
+        if alike is not None and rest is not None and alike[[*PLACE, "correlation"]].notna().all(axis=1).any():
+            draw = bound(alike_figure, alike, rest, effects=effects, acts=acts, attempt=attempt)
+            tables = existing(folder, ["why_places", "effect_places"])
+            yield Drawing("where_this_effect", "where local changes alter the data as the effect does", draw, tables)
     if effects is not None:
         yield Drawing("ranked_effects", "evidence for each effect", bound(ranked_effects_figure, effects), ("effects",))
     if (path := folder / "confounding.csv").exists():

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Mapping
 from itertools import groupby
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -12,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 
-from calib.report.numbers import fixed
+from calib.report.numbers import fixed, significant, with_unit
 from calib.report.style import BLACK, BLUE, GREY, ORANGE, SKY, legend_above, matrix_height, own_axes, separate_cells
 from calib.report.svg import hover, hover_cells
 
@@ -37,6 +39,7 @@ def draw_sensitivity(
     label: str = "rank correlation (–)",
     *,
     signed: bool = True,
+    space: pd.DataFrame | None = None,
 ) -> Axes:
     """Draw the sensitivity of responses to parameters as a matrix, after Ribeiro et al. (2013), figure 7.
 
@@ -52,6 +55,9 @@ def draw_sensitivity(
         Label of the colour bar.
     signed : bool
         Whether values have a sign; the scale of others begins at 0.
+    space : DataFrame, optional
+        Columns ``parameter, unit, lower, upper``: the range over which each was varied, beside its name. A wide one
+        outranks a narrow one of more effect.
     """
     responses = [c for c in table.columns if c != "parameter"]
     kinds = list(dict.fromkeys(_kind(r)[0] for r in responses))
@@ -70,7 +76,8 @@ def draw_sensitivity(
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)
-    ax.set_yticks(range(rows), table["parameter"].astype(str))
+    ranges = {} if space is None else {str(r["parameter"]): _range(r) for r in space.to_dict("records")}
+    ax.set_yticks(range(rows), [p + ranges.get(p, "") for p in table["parameter"].astype(str)])
     hover_cells(
         ax,
         [
@@ -86,6 +93,14 @@ def draw_sensitivity(
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
     return ax
+
+
+def _range(row: Mapping[Hashable, Any]) -> str:
+    """The limits of a parameter, in words."""
+    low, high = float(row["lower"]), float(row["upper"])
+    if not low < high:
+        return ""
+    return f"  {significant(low, 3)} – {with_unit(high, str(row['unit']))}"
 
 
 MEASURES = {

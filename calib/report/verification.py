@@ -49,6 +49,8 @@ _MEASURED = ", validation data so far"
 _RANGE = 20.0
 """Ratio of the largest to the smallest error above which the axis is logarithmic."""
 _SHOWN = 10
+_WORDS = 30.0
+"""Height in points of the two lines of an error and the gap to its dot."""
 
 
 def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
@@ -77,6 +79,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     width = 0.76 / len(stages)
     handles: list[Artist] = []
     ends: list[tuple[np.ndarray, np.ndarray]] = []
+    told: list[tuple[np.ndarray, ...]] = []
     for k, stage in enumerate(stages):
         rows = table[table["stage"] == stage].set_index("group").reindex(groups)
         x = np.arange(len(groups)) + (k - (len(stages) - 1) / 2) * width
@@ -90,12 +93,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
             for group, r, e, q in zip(groups, rms, expected, p, strict=True)
         ]
         hover_points(ax, x, rms, words)
-        for at, (r, e, q) in zip(x, zip(rms, expected, p, strict=True), strict=True):
-            if np.isfinite(r):  # above the dot and above the line of the expected value
-                ax.annotate(
-                    _error_words(r, q), (at, np.nanmax([r, e])), xytext=(0, 7), textcoords="offset points",
-                    ha="center", va="bottom", fontsize=7.5,
-                )  # fmt: skip
+        told.append((x, rms, expected, p))
         floor = np.isfinite(expected)
         reach = (x[floor] - 0.4 * width, x[floor] + 0.4 * width)
         ax.hlines(expected[floor], *reach, color=style.BLACK, linewidth=1.6, gid=f"expected {stage}", zorder=4)
@@ -105,12 +103,26 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         ax.plot([x_first, x_last], [first, last], color=style.REST, linewidth=1.2, zorder=2)
     handles.append(Line2D([], [], color=style.BLACK, linewidth=1.6, label="expected for a correct model"))
     _scale(ax, table, 1.2)
+    for values in told:
+        _write_errors(ax, *values)
     ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
     ax.set_xlim(-0.6, len(groups) - 0.4)
     ax.grid(axis="y")
     ax.set_ylabel("rms error (σ)")
     style.legend_above(ax, handles)
     return ax
+
+
+def _write_errors(ax: Axes, x: np.ndarray, rms: np.ndarray, expected: np.ndarray, p: np.ndarray) -> None:
+    """Write each error above its dot; below it where the line of the expected value would cross the words."""
+    for at, r, e, q in zip(x, rms, expected, p, strict=True):
+        if np.isfinite(r):
+            own, line = (float(ax.transData.transform((at, v))[1]) for v in (r, e if np.isfinite(e) else r))
+            crossed = 0.0 < (line - own) * 72.0 / ax.figure.dpi < _WORDS
+            ax.annotate(
+                _error_words(r, q), (at, r), xytext=(0, -7 if crossed else 7), textcoords="offset points",
+                ha="center", va="top" if crossed else "bottom", fontsize=7.5,
+            )  # fmt: skip
 
 
 def draw_error_steps(table: pd.DataFrame, ax: Axes | None = None) -> Axes:

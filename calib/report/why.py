@@ -10,16 +10,13 @@ import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.gridspec import SubplotSpec
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from calib.report.alike import CORRELATION, STAR, TICKS, acting, alike_words, draw_alike, located_rows, most_alike
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
-from calib.report.numbers import places as listed
-from calib.report.scene import FOOT, colour_bar, new_scene, show_axes
+from calib.report.scene import new_scene
 from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
@@ -193,31 +190,22 @@ def _name_largest(ax: Axes, x: np.ndarray, y: np.ndarray, names: Sequence[str]) 
 
 def why_figure(
     table: pd.DataFrame,
-    places: pd.DataFrame | None = None,
-    rest: np.ndarray | None = None,
     *,
     effects: pd.DataFrame | None = None,
     parameters: pd.DataFrame | None = None,
-    acts: pd.DataFrame | None = None,
     by_test: pd.DataFrame | None = None,
     attempt: bool = False,
 ) -> Figure:
-    """Draw for each effect the bars of `draw_bars` by kind, the dots of `draw_shapes`, and where it sits.
+    """Draw for each effect the bars of `draw_bars` by kind, and the dots of `draw_shapes`.
 
     Parameters
     ----------
     table : DataFrame
         Columns ``effects`` (those of the fit), ``effect, kind, mode, sensor, part, residual, signature, left``.
-    places : DataFrame, optional
-        As for `draw_alike`.
-    rest : ndarray (n, 2, 3), optional
-        Lines of the mesh, in metres; without them nothing is drawn on the structure.
     effects : DataFrame, optional
         Columns ``name, title, unit, magnitude``, for the headings.
     parameters : DataFrame, optional
         Columns ``effect, parameter, description, unit, value``: of each effect its fitted parameters, for the headings.
-    acts : DataFrame, optional
-        As for `draw_alike`.
     by_test : DataFrame, optional
         For one of several tests: ``effects, rows, before, after, share`` of `calib.missing.pattern.reduction_table`.
     attempt : bool
@@ -226,17 +214,11 @@ def why_figure(
     names = list(dict.fromkeys(table["effect"]))
     shapes = bool(_of_shapes(table).any())
     bars = table[~_of_shapes(table) & (table["kind"] != PRIOR)]
-    if places is not None and (rest is None or all(located_rows(places, name).empty for name in names)):
-        places = None
-    stars = {name: acting(acts if places is not None else None, name) for name in names}
-    headings = [
-        _heading(table[table["effect"] == n], effects, parameters, places, stars[n], attempt, by_test) for n in names
-    ]
+    headings = [_heading(table[table["effect"] == n], effects, parameters, attempt, by_test) for n in names]
     shares = by_test is None
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
-    foot = FOOT if places is not None else 0.4
-    # Without a layout engine, since the view of the structure is framed for the place of its panel.
+    foot = 0.4
     figure = new_scene(len(names) * (top + _PANEL + below) + foot, foot)
     grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, _PANEL, below] * len(names))
     for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
@@ -244,30 +226,17 @@ def why_figure(
         over = figure.add_subplot(grid[3 * k], label="heading")
         over.set_axis_off()
         over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
-        cells = _cells(grid[3 * k + 1], not bars.empty, shapes, places is not None)
+        cells = _cells(grid[3 * k + 1], not bars.empty, shapes)
         if "bars" in cells:
             _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt, shares)
         if "shapes" in cells:
             rows = own[_of_shapes(own)]
             title = _explained(rows, MANY[str(rows["kind"].iloc[0])], shares)
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(title)
-        if places is not None and rest is not None:
-            draw_alike(places, rest, figure.add_subplot(cells["structure"], projection="3d"), effect=name, acts=acts)
     height = float(figure.get_size_inches()[1])
-    if places is not None:
-        show_axes(figure)
-        colour_bar(
-            figure,
-            ScalarMappable(CORRELATION, "RdBu_r"),
-            "ρ with local stiffness or mass changes (–; area: |ρ|)",
-            TICKS,
-        )
     handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
-    if any(map(len, stars.values())):
-        handles.append(Line2D([], [], linestyle="none", label="where it acts", **STAR))
-    looks: dict[str, Any] = {"ncols": 2 if places is not None else len(handles), "borderaxespad": 0.0}
-    start = (1.05 if places is not None else 0.1) / WIDTH
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(start, 0.06 / height), **looks)
+    place = (0.1 / WIDTH, 0.06 / height)
+    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=len(handles), borderaxespad=0.0)
     return figure
 
 
@@ -323,46 +292,42 @@ def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str
     ]
 
 
-def _heading(
-    own: pd.DataFrame,
-    effects: pd.DataFrame | None,
-    parameters: pd.DataFrame | None,
-    places: pd.DataFrame | None,
-    stars: np.ndarray,
-    attempt: bool,
-    by_test: pd.DataFrame | None,
-) -> str:
-    """Effect with its magnitude and further parameters, the share that it explains, and where it acts."""
-    name = str(own["effect"].iloc[0])
+def effect_words(name: str, effects: pd.DataFrame | None, attempt: bool) -> str:
+    """An effect with its title and magnitude, where its row of ``effects`` is known, and whether it is believed."""
     words = name
     if effects is not None and name in set(effects["name"]):
         row = effects[effects["name"] == name].to_dict("records")[0]
         words = f"{row['title']} ({name}), {with_unit(row['magnitude'], str(row['unit']))}"
-    words += ": best attempt, not believed" if attempt else ""
-    sentences = [words, *further_parameters(parameters, name)]
-    sentences.append(f"{explained_words(own, by_test)}.")
-    if len(stars):
-        sentences.append(
-            f"By the list, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}."
-        )
-    if places is not None and (where := alike_words(places, name)):
-        sentences.append(
-            f"Most alike among the local stiffness or mass changes, marked 1: {where}"
-            if most_alike(places, name) is not None
-            else where
-        )
+    return words + (": best attempt, not believed" if attempt else "")
+
+
+def wrapped(sentences: Sequence[str]) -> str:
+    """Lines over a panel that is as wide as the page."""
     return "\n".join(textwrap.fill(line, 112, subsequent_indent="    ") for line in sentences)
 
 
-def _cells(spec: SubplotSpec, bars: bool, shapes: bool, structure: bool) -> dict[str, SubplotSpec]:
+def _heading(
+    own: pd.DataFrame,
+    effects: pd.DataFrame | None,
+    parameters: pd.DataFrame | None,
+    attempt: bool,
+    by_test: pd.DataFrame | None,
+) -> str:
+    """Effect with its magnitude and further parameters, and the share that it explains."""
+    name = str(own["effect"].iloc[0])
+    sentences = [effect_words(name, effects, attempt), *further_parameters(parameters, name)]
+    sentences.append(f"{explained_words(own, by_test)}.")
+    return wrapped(sentences)
+
+
+def _cells(spec: SubplotSpec, bars: bool, shapes: bool) -> dict[str, SubplotSpec]:
     """Cells of the panels of one effect; empty columns between them hold the labels."""
-    label, gap, end = 0.6, 0.1, 0.1
-    beside = {"labels": 0.65, "shapes": 1.7 if structure else 2.4} if shapes else {}
-    beside |= {"gap": gap, "structure": 2.2} if structure else {}
+    label, end = 0.6, 0.1
+    beside = {"labels": 0.65, "shapes": 2.4} if shapes else {}
     rest = WIDTH - label - end - sum(beside.values())
     widths = {"label": label, **({"bars": rest} if bars else {}), **beside, "end": end if bars else end + rest}
     grid = spec.subgridspec(1, len(widths), width_ratios=list(widths.values()), wspace=0.0)
-    return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes", "structure")}
+    return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes")}
 
 
 def _draw_kinds(figure: Figure, spec: SubplotSpec, table: pd.DataFrame, attempt: bool, shares: bool) -> None:

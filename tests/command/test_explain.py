@@ -16,6 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 CHAIN = str(ROOT / "studies/five_mass_chain")
 FIGURES = {
     "answer", "where_it_fails_sigma", "sensor_misfit", "perturbation_map", "pulls", "why_this_effect", "ranked_effects",
+    "where_this_effect",
     "confounding", "errors_before_after", "next_measurement", "model_places", "suspects",
 }  # fmt: skip
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")

@@ -81,7 +81,7 @@ def test_colours_and_legend_show_the_status_of_every_effect(effects):
     assert len(set(faces)) == 4
     marks = [len(dot.get_paths()[0]) for dot in dots(ax)]
     assert [mark != marks[0] for mark in marks] == [False, True, False, False, False]
-    assert [dot.get_gid() for dot in dots(ax)][:3] == ["credible set", "refitted", "not refitted: linear estimate"]
+    assert [dot.get_gid() for dot in dots(ax)][:3] == ["candidates left", "refitted", "not refitted: linear estimate"]
     assert labels(ax.get_legend().get_texts()) == [
         "credible set",
         "refitted",
@@ -123,8 +123,8 @@ def test_labels_of_effects_that_are_not_visible_are_grey(effects):
     assert right.get_xlabel() == "smallest visible magnitude /\nplausible magnitude (–)"
 
 
-@pytest.mark.parametrize(("factor", "scale"), [(1.0, "linear"), (100.0, "symlog")])
-def test_overwhelming_evidence_is_drawn_on_a_symlog_axis(effects, factor, scale):
+@pytest.mark.parametrize(("factor", "scale"), [(1.0, "linear"), (100.0, "function")])
+def test_overwhelming_evidence_is_drawn_on_an_axis_of_roots(effects, factor, scale):
     wide = effects.assign(ln_bayes=factor * effects["ln_bayes"])
     ax = draw_ranked_effects(wide)
     assert ax.get_xscale() == scale

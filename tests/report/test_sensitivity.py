@@ -1,4 +1,5 @@
 import numpy as np
+import pandas as pd
 
 from calib.report.sensitivity import draw_sensitivity
 
@@ -41,3 +42,11 @@ def test_a_response_of_unknown_kind_keeps_its_name(sensitivity):
 def test_a_response_without_a_value_is_explained_in_the_axis_label(sensitivity):
     assert "grey: no value" in draw_sensitivity(sensitivity).get_xlabel()
     assert "grey" not in draw_sensitivity(sensitivity.fillna(0.0)).get_xlabel()
+
+
+def test_the_range_of_a_parameter_stands_beside_its_name(sensitivity):
+    first = str(sensitivity["parameter"].iloc[0])
+    space = pd.DataFrame({"parameter": [first], "unit": ["kN/m"], "lower": [242.0], "upper": [270.8]})
+    labels = [t.get_text() for t in draw_sensitivity(sensitivity, space=space).get_yticklabels()]
+    assert labels[0].startswith(first) and "242" in labels[0] and labels[0].endswith("271 kN/m")
+    assert labels[1:] == sensitivity["parameter"].astype(str).tolist()[1:]

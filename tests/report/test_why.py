@@ -3,7 +3,7 @@ import pandas as pd
 import pytest
 from matplotlib.colors import to_hex
 
-from calib.report.alike import alike_words, draw_alike, most_alike
+from calib.report.alike import alike_figure, alike_words, coinciding, draw_alike, most_alike
 from calib.report.figures import Figures
 from calib.report.scene import plot_coordinates
 from calib.report.style import GREY, WITH
@@ -141,11 +141,10 @@ def test_places_are_drawn_with_their_correlation(places):
     assert not [t for t in draw_alike(places, REST, effect="seats").texts if t.get_text()]
 
 
-def test_each_effect_has_its_panels(table, places):
-    figure = why_figure(table, places, REST)
+def test_each_effect_has_its_panels(table):
+    figure = why_figure(table)
     for title in ("frequency", "damping", "shape"):
         assert len(panels(figure, title)) == 2
-    assert len([ax for ax in figure.axes if any(c.get_gid() == "correlation" for c in ax.collections)]) == 2
     for ax, effect in zip(panels(figure, "frequency"), ("arb", "seats"), strict=True):
         assert [bar.get_height() for bar in bars(ax, "signature")] == of(table, effect, "frequency")[
             "signature"
@@ -154,10 +153,32 @@ def test_each_effect_has_its_panels(table, places):
     assert drawn == 2 * 4  # priors are no data
 
 
-def test_without_a_mesh_or_a_place_nothing_is_drawn_on_the_structure(table, places):
-    for given in ((places, None), (None, REST), (places.assign(x=np.nan), REST)):
-        figure = why_figure(table, *given)
-        assert not [ax for ax in figure.axes if ax.name == "3d"] and len(panels(figure, "shape")) == 2
+def test_each_effect_stands_on_the_structure_by_itself(places):
+    acts = pd.DataFrame({"effect": ["arb"], "x": [1.0], "y": [0.5], "z": [0.25]})
+    figure = alike_figure(places, REST, acts=acts)
+    drawn = [c for ax in figure.axes for c in ax.collections if c.get_gid() == "correlation"]
+    assert [len(c.get_array()) for c in drawn] == [3, 1]
+    first, second = (t.get_text() for ax in figure.axes for t in ax.texts if ax.get_label() == "heading")
+    assert "spring 2" in first and "+1.00, +0.50, +0.25" in first and "spring" not in second
+
+
+def test_marks_that_lie_on_the_first_are_told(places):
+    assert coinciding(places, "arb") == [] == coinciding(places, "seats")
+    over = ("arb", "mass of plate 13", "mass", 4.0, 0.01, -1.0, 0.7)
+    both = pd.concat([places, pd.DataFrame([over], columns=places.columns)], ignore_index=True)
+    (told,) = coinciding(both, "arb")
+    assert "mass of plate 13" in told and "0.70" in told
+    (heading, _) = (
+        t.get_text() for ax in alike_figure(both, REST).axes for t in ax.texts if ax.get_label() == "heading"
+    )
+    assert told in heading
+
+
+def test_without_a_mesh_or_a_place_nothing_is_drawn_on_the_structure(table, places, tmp_path):
+    table.to_csv(tmp_path / "why.csv", index=False)
+    for some in (places, places.assign(x=np.nan)):
+        some.to_csv(tmp_path / "why_places.csv", index=False)
+        assert list(Figures(tmp_path, "", True).plan) == ["why_this_effect"]
 
 
 def test_scalar_responses_are_bars_of_one_panel(scalar):
@@ -181,7 +202,7 @@ def test_the_figure_of_the_folder_needs_rows(table, places, tmp_path):
     assert not Figures(tmp_path, "", True).plan
     table.to_csv(tmp_path / "why.csv", index=False)
     plan = Figures(tmp_path, "", True).plan
-    assert list(plan) == ["why_this_effect"] and set(plan["why_this_effect"].tables) == {"why", "why_places"}
+    assert list(plan) == ["why_this_effect"] and set(plan["why_this_effect"].tables) == {"why"}
     (file,) = Figures(tmp_path, "Car", True).save(["svg"])
     assert "B2, residual" in file.read_text("utf-8")
 
@@ -194,23 +215,23 @@ def test_the_star_is_where_the_effect_acts(places):
     assert not [one for one in draw_alike(places, REST, effect="arb").lines if one.get_gid() == "acts"]
 
 
-def test_further_parameters_of_an_effect_stand_in_its_heading(table, places):
+def test_further_parameters_of_an_effect_stand_in_its_heading(table):
     fitted = pd.DataFrame(
         [("arb", "arb", "size", "kg", 3.0), ("arb", "arb_freq", "natural frequency of it", "Hz", 14.258)],
         columns=["effect", "parameter", "description", "unit", "value"],
     )
     (heading,) = (
         t.get_text()
-        for ax in why_figure(table[table["effect"] == "arb"], places, REST, parameters=fitted).axes
+        for ax in why_figure(table[table["effect"] == "arb"], parameters=fitted).axes
         for t in ax.texts
         if ax.get_label() == "heading"
     )
-    assert "arb_freq = 14.3 Hz as fitted; in the library: natural frequency of it" in heading.split("\n")
+    assert "arb_freq = 14.3 Hz as fitted; in the list: natural frequency of it" in heading.split("\n")
 
 
-def test_open_dots_of_imaginary_parts_are_in_the_legend(table, places):
+def test_open_dots_of_imaginary_parts_are_in_the_legend(table):
     def legend(rows):
-        figure = why_figure(rows, places, REST)
+        figure = why_figure(rows)
         (found,) = figure.legends
         return dict(zip([t.get_text() for t in found.get_texts()], found.legend_handles, strict=True))
 

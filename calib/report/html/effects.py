@@ -90,10 +90,10 @@ def places_of_effects(results: StudyResults, table: pd.DataFrame) -> list[str]:
 
 @dataclass(frozen=True)
 class Why:
-    """The figure that compares signatures with the residual, in words: in its caption, and in its text alternative."""
+    """The figures of change patterns in words: how far they are the residual, and what is alike on the structure."""
 
     words: list[str]
-    alt: list[str]
+    near: list[str]
 
 
 def why(results: StudyResults) -> Why:
@@ -116,7 +116,7 @@ def why(results: StudyResults) -> Why:
     found += [words for name in names for words in further_parameters(fitted, name)]
     alike = results.table("why_places")
     near = [] if alike is None else [f"{name}: {words}" for name in names if (words := alike_words(alike, name))]
-    return Why(found, [*found, *near])
+    return Why(found, near)
 
 
 def collinear_effects(results: StudyResults) -> list[str]:
