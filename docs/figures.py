@@ -19,6 +19,7 @@ from matplotlib.ticker import NullLocator
 from PIL import Image
 
 from calib.report.figures import Figures
+from calib.report.scene import upright
 from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
 from calib.report.tables import read_results
 from calib.report.worst import draw_worst
@@ -122,7 +123,7 @@ def of_folder(folder: Path, name: str) -> Figure | None:
     drawing = Figures(folder, record["title"], record["synthetic"]).plan.get(name)
     if drawing is None:
         return None
-    with style():
+    with style(), upright(record.get("axes", "")):
         figure = drawing.draw()
         add_heading(figure, f"{record['title']}: {drawing.caption}", record["synthetic"])
     return figure

@@ -107,12 +107,13 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     ax.axvline(limit, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
     everything = np.append(spans[np.isfinite(spans)], [0.0, limit])
     low, high = float(everything.min()), float(everything.max())
-    label = "log Bayes factor against the base model (–)"
+    label = "evidence (log Bayes factor)"
     if high > _WIDE or low < -_WIDE:
         ax.set_xscale("function", functions=(_root, _square))
         # The value and a word stand beside the largest.
-        ax.set_xlim(min(1.3 * low, -2.0), 2.2 * max(high, 100.0))
-        ticks = [t for t in _TICKS if low <= t <= max(high, 100.0)]
+        left, right = min(1.3 * low, -2.0), 2.2 * max(high, 100.0)
+        ax.set_xlim(left, right)
+        ticks = [t for t in _TICKS if left <= t <= right]
         ax.set_xticks(ticks, [f"{t:g}".replace("-", "−") for t in ticks])
         label += "\non a scale of square roots"
     else:
