@@ -50,6 +50,7 @@ FIGURES = {
     "bogie_mode_shapes": Shown("bogie", "mode_shapes_after"),
     "bogie_parameters": Shown("bogie", "parameters"),
     "hidden_bogie": Shown("hidden_bogie", "answer"),
+    "hidden_bushing": Shown("hidden_bushing", "answer"),
     "hidden_misfit": Shown("hidden_bogie", "sensor_misfit"),
     "hidden_effects": Shown("hidden_bogie", "ranked_effects"),
     "hidden_why": Shown("hidden_bogie", "why_this_effect"),

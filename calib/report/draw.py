@@ -193,11 +193,15 @@ def _sensitivities(folder: Folder) -> Iterator[Drawing]:
     path, space = folder / "parameter_space.csv", None
     if path.exists():
         space = read_results(path, ["parameter"], ["lower", "upper"], blank=["unit"], unique="parameter")
+    own = folder / "partial.csv"
+    partial = read_results(own, ["parameter"], others_are_numbers=True) if own.exists() else None
     for name, (caption, looks) in _MATRICES.items():
         path = folder / f"{name}.csv"
         if path.exists():
             matrix = read_results(path, ["parameter"], others_are_numbers=True)
-            yield Drawing(name, caption, bound(draw_sensitivity, matrix, space=space, **looks), (name,))
+            beside = partial if name == "sensitivity" else None
+            draw = bound(draw_sensitivity, matrix, space=space, partial=beside, **looks)
+            yield Drawing(name, caption, draw, (name,))
     path = folder / "prognosis.csv"
     if path.exists() and (folder / "prognosis_inputs.csv").exists():
         total = read_results(path, ["response"], ["cop"])

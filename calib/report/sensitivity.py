@@ -40,6 +40,7 @@ def draw_sensitivity(
     *,
     signed: bool = True,
     space: pd.DataFrame | None = None,
+    partial: pd.DataFrame | None = None,
 ) -> Axes:
     """Draw the sensitivity of responses to parameters as a matrix, after Ribeiro et al. (2013), figure 7.
 
@@ -58,6 +59,9 @@ def draw_sensitivity(
     space : DataFrame, optional
         Columns ``parameter, unit, lower, upper``: the range over which each was varied, beside its name. A wide one
         outranks a narrow one of more effect.
+    partial : DataFrame, optional
+        The same cells, controlled for all other parameters. A value above the threshold whose own is at most half of it
+        stands in brackets: other parameters lend it, with which a constraint correlates the parameter.
     """
     responses = [c for c in table.columns if c != "parameter"]
     kinds = list(dict.fromkeys(_kind(r)[0] for r in responses))
@@ -69,11 +73,15 @@ def draw_sensitivity(
     image = ax.imshow(np.isnan(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     colours, lowest = ("RdBu_r", -1.0) if signed else ("Blues", 0.0)
     image = ax.imshow(shown, cmap=colours, norm=Normalize(lowest, 1.0), aspect="auto")
+    lent = np.zeros_like(values, dtype=bool)
+    if partial is not None:
+        own = partial.set_index("parameter").reindex(table["parameter"]).reindex(columns=responses)
+        lent = np.abs(own.to_numpy(dtype=float)) <= 0.5 * threshold
     size = 8.0 if columns <= 12 else max(4.5, 8.0 * 13.5 / columns)
     for i, j in np.argwhere(np.isfinite(shown)):
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"
         text = f"{shown[i, j]:.2f}".replace("-", "−")
-        ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
+        ax.text(j, i, f"({text})" if lent[i, j] else text, ha="center", va="center", fontsize=size, color=colour)
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)
     ranges = {} if space is None else {str(r["parameter"]): _range(r) for r in space.to_dict("records")}
@@ -89,6 +97,7 @@ def draw_sensitivity(
     ax.grid(which="minor", color="#D0D0D0", linewidth=0.6)
     _name_groups(ax, [_kind(r)[0] for r in responses])
     blank = f"blank: |value| ≤ {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
+    blank += "; in brackets: lent by a constraint with other parameters" if (lent & np.isfinite(shown)).any() else ""
     modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
