@@ -99,7 +99,7 @@ def chain(is_bare: bool = False) -> Chain:
 
 @dataclass(frozen=True)
 class Hidden:
-    """One effect with its true values, as `rates_outcome.Truth`; a fault of the measurement is no effect."""
+    """One effect with its true values, as `rates_outcome.Truth`; a measurement error is no effect."""
 
     values: Mapping[str, float]
     hidden: tuple[str, ...]
@@ -148,7 +148,7 @@ def visible(
 
 
 def faulty(exact: Mapping[str, float], fault: str, rng: np.random.Generator) -> dict[str, float]:
-    """Responses with a fault of the measurement; as they are for any other name."""
+    """Responses with a measurement error; as they are for any other name."""
     kind, low, high = FAULTS.get(fault, ("", 0.0, 0.0))
     off = rng.uniform(low, high) if kind else 0.0
     return {name: value + off * (name.split("_")[0] == kind) for name, value in exact.items()}

@@ -81,7 +81,7 @@ def found(folder: Path, names: Iterable[str] = PLAN) -> dict[str, list[Row]]:
 COUNTED = (
     (f"one effect, expected score {DETECTABLE:g} or more", "names it rightly"),
     ("one effect of any magnitude", "names a wrong effect"),
-    ("something that is not in the library", "names something"),
+    ("something that is not on the list", "names something"),
     ("nothing", "says that something is missing"),
     ("one effect, named", "its 95 % interval covers the truth"),
     ("a measurement error", "names a wrong effect"),

@@ -2,7 +2,7 @@
 
 All see the same measurement, standard deviations as stated, base model and candidates; standard deviations count as
 known, so that ``-2 ln L`` is the sum of squares. Parameters keep their priors, whose rows are part of it but not of the
-number of data. ``with faults`` means that faults of the measurement are candidates too, where the search has them;
+number of data. ``with faults`` means that measurement errors are candidates too, where the search has them;
 naming one names no effect.
 
 AICc, BIC
@@ -126,7 +126,7 @@ class _Told:
 
 
 def asserted(names: Sequence[str], effects: set[str]) -> _Told:
-    """Effects that are all said to be there, the strongest first; faults of the measurement are no names."""
+    """Effects that are all said to be there, the strongest first; measurement errors are no names."""
     own = [name for name in names if name in effects]
     verdicts = {0: "measurement" if names else "nothing_detectable", 1: "effect", 2: "two_effects"}
     return _Told(verdicts.get(len(own), "several_effects"), own[:1], own)

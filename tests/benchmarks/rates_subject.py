@@ -30,7 +30,7 @@ class Subject:
     reduced_twin : bool
         Whether the finer mesh is solved on a reduced basis of its own, for which full order would take too long.
     suspects : bool
-        Whether faults of the measurement are candidates, as in a study.
+        Whether measurement errors are candidates, as in a study.
     ways : tuple of str
         Names of the ways in which each structure is measured and explained, where there are several.
     """

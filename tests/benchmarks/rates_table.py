@@ -149,7 +149,7 @@ def of_methods(rows: Sequence[Row]) -> dict[str, list[Rate]]:
         ("one effect of any magnitude", "names a wrong effect"),
         ("nothing", "says that something is missing"),
         ("nothing", "names something"),
-        ("something that is not in the library", "names something"),
+        ("something that is not on the list", "names something"),
         ("a measurement error", "names a wrong effect"),
     }
     out = {}
@@ -213,7 +213,7 @@ def rates(rows: Sequence[Row]) -> list[Rate]:
 
     one, two, three, detectable = "one effect", "two effects", "three effects", f"expected score {DETECTABLE:g} or more"
     none_there, doubled = "nothing", "standard deviation understated twofold"
-    outside_, names = "something that is not in the library", "names something"
+    outside_, names = "something that is not on the list", "names something"
     return [
         rate(f"{one}, expected score 6 or more", "names it rightly", 0.95, True, strong, right),
         rate(f"{one}, expected score 4 to 6", "names it rightly", 0.80, True, middle, right),

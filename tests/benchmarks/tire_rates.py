@@ -199,7 +199,7 @@ def rates(rows: list[dict[str, Any]]) -> list[Rate]:
         rate(f"one effect, expected score {VISIBLE:g} or more", "names it rightly", 0.90, True, seen, "right"),
         rate("one effect of any magnitude", "names a wrong effect", 0.02, False, effects, "wrong"),
         rate(
-            "something that is not in the library", "names something", 0.02, False, outside, "right", "among", "wrong"
+            "something that is not on the list", "names something", 0.02, False, outside, "right", "among", "wrong"
         ),
         rate("nothing", "says that something is missing", 0.03, False, nothing, "right", "among", "wrong", "unnamed"),
     ]
