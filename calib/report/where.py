@@ -230,9 +230,7 @@ def draw_perturbations(
     absorbed = scene.plot_coordinates(place[~known]).T
     ax.plot(*absorbed, "x", color=GREY, markersize=3.0, markeredgewidth=0.7, gid="absorbed", zorder=2)
     scene.draw_dots(ax, place[known], score[known], Normalize(-limit, limit), "RdBu_r", "score")
-    scene.frame_panel(
-        ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local stiffness or mass changes: {len(rows)}"
-    )
+    scene.frame_panel(ax, np.concatenate([rest.reshape(-1, 3), place]), f"{kind}, local changes: {len(rows)}")
     marked = list((best_perturbations(table) if best is None else best).index)
     scene.number_points(
         ax, place, {k: marked.index(label) + 1 for k, label in enumerate(rows.index) if label in marked}
@@ -276,9 +274,9 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     panel = WIDTH / columns
     best = best_perturbations(table)
     named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
-    heading = "largest scores (γ: share not explained by the parameters):"
+    heading = "largest scores (γ: not explained):"
     words = "\n".join([heading, *named]) if named else "no local stiffness or mass change has a score"
-    words += "\n×  explained by the parameters" if table["score"].isna().any() else ""
+    words += "\n×  explained by parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
     foot = scene.FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
     figure = scene.new_scene(count * min(panel * high / wide + 3 * scene.HEADING, panel, 4.4) + foot, foot)

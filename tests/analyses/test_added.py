@@ -65,8 +65,10 @@ def test_a_held_out_mode_that_gets_worse_is_named():
     )
     words = _held_out_modes(modes)
     assert words == "The frequency error falls in 1 of 2 validation modes; it grows for 4B (0.03 -> 0.70 %)."
-    assert _held_out_modes(modes.iloc[[2]]) == "The frequency error falls in 1 of 1 held-out mode."
-    assert _held_out_modes(modes.iloc[[1]]) == "The frequency error grows in every held-out mode: 4B (0.03 -> 0.70 %)."
+    assert _held_out_modes(modes.iloc[[2]]) == "The frequency error falls in 1 of 1 validation mode."
+    assert (
+        _held_out_modes(modes.iloc[[1]]) == "The frequency error grows in every validation mode: 4B (0.03 -> 0.70 %)."
+    )
     assert _held_out_modes(modes.iloc[[0, 3]]) == _held_out_modes(pd.DataFrame()) == ""
 
 
@@ -114,7 +116,7 @@ def test_only_effects_without_a_competing_model_are_added():
         ("indistinguishable", "cannot discriminate between guy and lamp, so none of them is added"),
         ("two_effects", "cannot discriminate between guy and lamp, so none of them is added"),
         ("partial", "explain only part of the misfit"),
-        ("none_explains", "No effect of the library explains"),
+        ("none_explains", "No listed cause explains"),
         ("measurement", "nothing is added to the model: correct it first"),
         ("misfit_unlocated", "check the data that fit worst"),
         ("unconfirmed", "The best-fitting explanation, guy, is not confirmed"),

@@ -198,9 +198,7 @@ def rates(rows: list[dict[str, Any]]) -> list[Rate]:
     return [
         rate(f"one effect, expected score {VISIBLE:g} or more", "names it rightly", 0.90, True, seen, "right"),
         rate("one effect of any magnitude", "names a wrong effect", 0.02, False, effects, "wrong"),
-        rate(
-            "something that is not on the list", "names something", 0.02, False, outside, "right", "among", "wrong"
-        ),
+        rate("something that is not on the list", "names something", 0.02, False, outside, "right", "among", "wrong"),
         rate("nothing", "says that something is missing", 0.03, False, nothing, "right", "among", "wrong", "unnamed"),
     ]
 

@@ -72,8 +72,8 @@ def test_a_poor_fit_of_a_named_effect_is_stated(cases):
 def test_data_that_can_show_no_effect_are_said_to(cases):
     found = cases["nothing_detectable"]
     blind = {(f"E{k}", "visible"): False for k in range(5)}
-    assert "cannot show any effect" in text_of(found, change=blind)
-    assert "cannot show any effect" not in text_of(found, change=blind | {("E3", "visible"): True})
+    assert "cannot show any listed" in text_of(found, change=blind)
+    assert "cannot show any listed" not in text_of(found, change=blind | {("E3", "visible"): True})
 
 
 def test_what_was_not_tested_is_not_called_invisible(cases):

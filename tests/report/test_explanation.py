@@ -83,7 +83,7 @@ def test_colours_and_legend_show_the_status_of_every_effect(effects):
     assert [mark != marks[0] for mark in marks] == [False, True, False, False, False]
     assert [dot.get_gid() for dot in dots(ax)][:3] == ["candidates left", "refitted", "not refitted: linear estimate"]
     assert labels(ax.get_legend().get_texts()) == [
-        "credible set",
+        "candidates left",
         "refitted",
         "not refitted: linear estimate",
         "not visible with these data",

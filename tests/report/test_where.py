@@ -150,7 +150,9 @@ def test_the_best_three_are_numbered_at_their_places_and_named(perturbations, st
     assert panels == {"stiffness": ["1", "3"], "damping": ["2"], "mass": []}
     (words,) = [t.get_text() for t in figure.texts if "largest scores" in t.get_text()]
     at = place(perturbations.loc[perturbations["perturbation"] == "spring 1", ["x", "y", "z"]].to_numpy()[0])
-    assert f"1  spring 1\n     stiffness, z = −8.0, γ = 0.50\n     x, y, z = {at} m" in words and "absorbed" in words
+    assert (
+        f"1  spring 1\n     stiffness, z = −8.0, γ = 0.50\n     x, y, z = {at} m" in words and "explained by" in words
+    )
     first = next(t for t in figure.axes[0].texts if t.get_text() == "1")
     figure.savefig(os.devnull, format="png")
     at = figure.axes[0].transData.transform(first.xy)

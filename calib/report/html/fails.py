@@ -107,8 +107,8 @@ def _evidence(results: StudyResults) -> Limit | None:
     credible, predicted = beyond["credible"].map(flag).astype(bool), only_predicted(table)[beyond.index]
     groups = {
         "": credible,
-        "out: ": ~credible & ~predicted,
-        "out, linear prediction only: ": predicted,
+        "ruled out: ": ~credible & ~predicted,
+        "ruled out, linear prediction only: ": predicted,
     }
     named = [f"{words}{', '.join(map(str, beyond.loc[some, 'name']))}" for words, some in groups.items() if some.any()]
     meaning = (

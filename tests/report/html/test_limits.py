@@ -31,7 +31,7 @@ def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limit
     later = [b.name for b in every[place:] if isinstance(b, Picture)]
     assert {"where_it_fails", "where_it_fails_sigma", "pulls", "ranked_effects", "perturbation_map"} <= set(later)
     first = [b for b in every[:place] if isinstance(b, Table)]
-    assert not {head.split(" ")[0] for table in first for head in table.heads} & {"p", "pull", "ln", "verdict"}
+    assert not {head.split(" ")[0] for table in first for head in table.heads} & {"p", "shift", "evidence", "verdict"}
     terms = [term for b in every if isinstance(b, Terms) for term, _ in b.pairs]
     assert "p" not in terms  # told by the key
 
@@ -42,8 +42,8 @@ def test_the_limits_are_those_of_the_tests(everything, blocks):
     scores = pd.read_csv(everything / "perturbations.csv")["score"]
     of_base = int((pulls["model"] == "base").sum())
     assert rows["p-value"][1] == f"{json.loads((everything / 'explanation.json').read_text())['alpha']:g}" == "0.01"
-    assert rows["pull"][1] == f"± {fixed(norm.isf(0.01 / 2 / of_base), 1)}" and f" {of_base} " in rows["pull"][2]
-    assert rows["ln"][1] == fixed(3 + math.log(len(effects)), 1)
+    assert rows["shift"][1] == f"± {fixed(norm.isf(0.01 / 2 / of_base), 1)}" and f" {of_base} " in rows["shift"][2]
+    assert rows["evidence"][1] == fixed(3 + math.log(len(effects)), 1)
     assert rows["score"][1] == f"± {fixed(norm.isf(0.01 / 2 / scores.notna().sum()), 1)}"
 
 
@@ -52,10 +52,10 @@ def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())
     known = effects.sort_values("ln_bayes", ascending=False)
     beyond = known[known["ln_bayes"] > 3 + math.log(len(effects))]
-    told = {"": beyond["credible"], "not credible: ": ~beyond["credible"] & beyond["refitted"]}
-    told["not credible, linear prediction only: "] = ~beyond["credible"] & ~beyond["refitted"]
+    told = {"": beyond["credible"], "ruled out: ": ~beyond["credible"] & beyond["refitted"]}
+    told["ruled out, linear prediction only: "] = ~beyond["credible"] & ~beyond["refitted"]
     parts = [f"{words}{', '.join(beyond['name'][some])}" for words, some in told.items() if some.any()]
-    assert rows["ln"][3] == "; ".join(parts) and len(parts) > 1
+    assert rows["evidence"][3] == "; ".join(parts) and len(parts) > 1
     below = [words for name, words in TESTS.items() if found[name] <= 0.01]
     assert below and rows["p-value"][3] == "; ".join(below) and len(below) < len(TESTS)
     tables = [pd.read_csv(everything / f"where_it_fails_{stage}.csv") for stage in ("before", "after", "added")]
@@ -72,7 +72,7 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
     values = [limit + 0.1, limit - 0.1, 0.5]
     table["ln_bayes"] = [*values, *[-1.0] * (len(table) - 3)]
     table.to_csv(folder / "effects.csv", index=False)
-    assert key(folder, blocks)["ln"][3] == table["name"][0]
+    assert key(folder, blocks)["evidence"][3] == table["name"][0]
 
 
 def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted_only(folder, blocks):
@@ -85,8 +85,8 @@ def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted
     table.loc[1, "stands_for"] = table.loc[3, "name"]  # it has the evidence of the fitted one
     table.to_csv(folder / "effects.csv", index=False)
     first, second, third, fourth, *_ = table["name"]
-    told = f"{first}; not credible: {second}, {fourth}; not credible, linear prediction only: {third}"
-    assert key(folder, blocks)["ln"][3] == told
+    told = f"{first}; ruled out: {second}, {fourth}; ruled out, linear prediction only: {third}"
+    assert key(folder, blocks)["evidence"][3] == told
     shown = {row[1]: row[-1] for row in blocks(folder, Table)["Every listed effect, ranked"].rows}
     words = f"evidence less than {first} by 153.5; linear prediction only"
     assert words in shown[third] and not any("linear" in remark for name, remark in shown.items() if name != third)
@@ -106,7 +106,7 @@ def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
     table["pulled"] = np.isin(np.arange(len(table)), pulled)
     table.to_csv(folder / "pulls.csv", index=False)
     names = [f"{table['parameter'][k]} ({table['model'][k]})" for k in pulled]
-    assert key(folder, blocks)["pull"][3] == (", ".join(names) or NONE)
+    assert key(folder, blocks)["shift"][3] == (", ".join(names) or NONE)
 
 
 def test_without_an_explanation_p_is_told_with_the_errors(folder, blocks):
