@@ -135,7 +135,7 @@ def test_impossible_extensions_are_refused_in_one_sentence(sums, rig, edited, re
     said = refusal(Path("new"), "top_cables", "newer")
     assert "is in the model already; the effects it lacks are low_cables" in said
     edited(sums, 'effects = "model.py:library"\n', "")
-    assert "names no library of effects" in refusal(sums, "bend", "newer")
+    assert "names no list of possible causes" in refusal(sums, "bend", "newer")
 
 
 def test_an_invalid_new_study_is_not_written(sums, monkeypatch):

@@ -33,7 +33,7 @@ def test_what_a_floor_weighs_more_is_named(heavy_floor):
 @pytest.mark.slow
 def test_the_answer_says_that_no_library_was_given_and_how_many_were_tested(heavy_floor):
     count = len(generic_effects(chain(), [measured()]))
-    (note,) = [note for note in heavy_floor.explanation.notes if "No library was given" in note]
+    (note,) = [note for note in heavy_floor.explanation.notes if "No list of causes was given" in note]
     assert f" {count} " in note and heavy_floor.settings.libraries == ("generic",)
 
 
@@ -119,7 +119,7 @@ def test_an_imported_study_has_generic_effects_at_its_points_and_supports(import
 def test_an_imported_study_is_explained_and_extended_by_the_command(imported, tmp_path, capsys, undrawn):
     assert cli.execute(["explain", str(imported), "--results", str(tmp_path / "results")]) == 0
     said = capsys.readouterr().out
-    assert "mass at node 4" in said and "No library was given" in said
+    assert "mass at node 4" in said and "No list of causes was given" in said
     study = calib.Study.load(imported, results=tmp_path / "results", progress=False)
     extended = study.extend(["added_mass_4"], tmp_path / "heavier")
     fitted = extended.calibrate().table.set_index("parameter")

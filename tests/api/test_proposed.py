@@ -129,7 +129,7 @@ def test_nothing_is_proposed_where_the_measurement_is_to_blame():
 def test_a_named_effect_leaves_nothing_to_propose(case):
     problem, _, proposed, _ = case
     again = problem.explain(proposed.effects[:1], seed=1).propose()
-    assert again.effects == () and re.search(r"effects of the library explain the data, \w+\.", str(again))
+    assert again.effects == () and re.search(r"listed causes explain the data, \w+\.", str(again))
 
 
 def test_names_are_free_and_identifiers():

@@ -86,7 +86,7 @@ def test_nothing_is_proposed_where_the_library_explains(guyed, capsys):
     assert cli.execute(["explain", "mast"]) == 0
     assert cli.execute(["propose", "mast"]) == 0
     out = " ".join(capsys.readouterr().out.split())
-    assert "Nothing is proposed: effects of the library explain the data, guy." in out
+    assert "Nothing is proposed: listed causes explain the data, guy." in out
     assert not Path("results/mast/mast_proposed").exists()
     assert pd.read_csv("results/mast/proposals.csv").empty
 
@@ -115,7 +115,7 @@ def test_earlier_proposals_are_set_aside_where_there_are_none_now(without_guy, c
     assert cli.execute(["propose", "mast"]) == 0
     said = capsys.readouterr()
     words = " ".join((said.out + said.err).split())
-    assert "Nothing is proposed: effects of the library explain the data" in words
+    assert "Nothing is proposed: listed causes explain the data" in words
     assert "Earlier proposals are kept as results/mast/mast_proposed_earlier." in words
     assert not Path("results/mast/mast_proposed").exists()
     assert Path("results/mast/mast_proposed_earlier/proposed_effects.py").read_text() == written

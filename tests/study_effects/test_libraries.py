@@ -12,7 +12,7 @@ from tests.study_effects.studies import RIG_EFFECTS, changed, complaint, names, 
 
 BAD = [
     ("unknown effect", ['with_effects = ["hung_mas"]'], "unknown effect 'hung_mas' (did you mean 'hung_mass'?)"),
-    ("nothing near", ['with_effects = ["qqq"]'], "unknown effect 'qqq'; the library's effects are top_mass, hung_mass"),
+    ("nothing near", ['with_effects = ["qqq"]'], "unknown effect 'qqq'; the listed effects are top_mass, hung_mass"),
     ("twice", ['with_effects = ["top_mass", "top_mass"]'], "the effect 'top_mass' is named twice"),
     ("bad alpha", ["explain.alpha = 0.5"], "explain.alpha = 0.5 is not allowed"),
     ("bad refits", ["explain.refits = 0"], "explain.refits = 0 is not allowed"),
@@ -54,7 +54,7 @@ def test_a_library_that_is_not_there_is_told(rig):
     changed(rig, "efects.py:library", "nowhere.at_all:library")
     assert "no module 'nowhere.at_all'" in complaint(rig)
     changed(rig, 'effects = "nowhere.at_all:library"', 'with_effects = ["top_mass"]')
-    assert "no library that holds them" in complaint(rig)
+    assert "no list that holds them" in complaint(rig)
 
 
 def test_an_effect_that_fails_or_does_not_fit_is_told_with_its_name(rig):
