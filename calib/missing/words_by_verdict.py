@@ -212,7 +212,7 @@ def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
     low, high = magnitude_range(found)
     location = where(found.chosen_adequacy)
     return VerdictWords(
-        f"The model lacks something like {e.in_words}, but not exactly that; in the form that the list has it "
+        f"The model lacks something like {e.in_words}, but not exactly that; as it is listed it "
         f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
         f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)} A further, much smaller effect is "
