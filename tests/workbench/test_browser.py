@@ -17,7 +17,8 @@ from calib.study.loading import module_of
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
 BROWSER = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
 pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="there is no Chromium")]
-MAST = module_of(Path(__file__).resolve().parents[1] / "template/mast_effects.py")
+ROOT = Path(__file__).resolve().parents[2]
+MAST = module_of(ROOT / "tests/template/mast_effects.py")
 OPTIONS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--enable-unsafe-swiftshader"]
 PATIENT = 120_000
 """Milliseconds for what another process computes."""
@@ -219,6 +220,27 @@ def test_the_measurement_shows_its_sensors_and_what_to_measure_next(tab, explain
     page.get_by_role("button", name="Hold out", exact=True).first.click()
     page.locator("#make").wait_for()
     assert "modes" in page.locator("#diff .plus").last.inner_text()
+
+
+@pytest.mark.parametrize("colours", ["light", "dark"])
+def test_contrast_and_names_are_those_of_wcag_aa(tab, explained, colours):
+    script = ROOT / "node_modules/axe-core/axe.min.js"
+    if not script.is_file():
+        pytest.skip("axe-core is not installed: npm install --no-save axe-core")
+    page = tab(explained, colours=colours)
+    page.evaluate(script.read_text())
+    drawn = {
+        "Overview": "#answer", "Search": "#view .panel", "Missing physics": "#space canvas",
+        "What if": "#rows tbody tr", "Correlation": ".shapes[data-drawn]", "Designs": "#table tbody tr",
+        "Measurement": "#space canvas", "Parameters": "#parameter",
+    }  # fmt: skip
+    for view, place in drawn.items():
+        page.get_by_role("link", name=view, exact=True).click()
+        page.locator(place).first.wait_for()
+        found = page.evaluate("axe.run({ runOnly: ['wcag2a', 'wcag2aa'] })")
+        wrong = [(one["id"], node["target"]) for one in found["violations"] for node in one["nodes"]]
+        assert not wrong, (view, wrong)
+        assert found["passes"]
 
 
 def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):

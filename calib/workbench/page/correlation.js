@@ -1,7 +1,7 @@
 // Measured and model modes: MAC of all pairs, a pair's shapes beside and over each other, and edits of the pairing.
 import { afterFailure } from "./app.js";
 import { Changes } from "./changes.js";
-import { ask, h, panel, table } from "./dom.js";
+import { ask, h, panel, shade, table } from "./dom.js";
 import { Shapes } from "./shapes.js";
 
 export class Correlation {
@@ -61,7 +61,7 @@ export class Correlation {
     const pairs = new Map(stage.pairs.map((one) => [one.mode, one.model_mode]));
     const cell = (value, row, column) => {
       const mode = stage.measured[row].name, number = stage.model[column].number, is = pairs.get(mode) === number;
-      return h("td", {}, h("button", { type: "button", class: `cell${is ? " paired" : ""}${value > 0.5 ? " dark" : ""}`, "data-row": row, "data-column": column,
+      return h("td", {}, h("button", { type: "button", class: `cell${is ? " paired" : ""}${shade(value)}`, "data-row": row, "data-column": column,
         tabIndex: row === 0 && column === 0 ? 0 : -1,
         style: { "--mac": value ?? 0 }, "aria-pressed": String(this.picked?.[0] === mode && this.picked?.[1] === number),
         "aria-label": `${mode} with model mode ${number}: MAC ${value === null ? "unknown" : value.toFixed(3)}${is ? ", paired" : ""}`,

@@ -1,7 +1,7 @@
 // Every evaluated design: parallel coordinates, a cloud, correlations and a table, with one selection over all of them.
 import { afterFailure } from "./app.js";
 import { Changes } from "./changes.js";
-import { ask, h, panel } from "./dom.js";
+import { ask, h, panel, shade } from "./dom.js";
 
 const LINES = 3000;  // designs that are drawn over parallel axes, the best first
 const DOTS = 20000;  // in the cloud
@@ -150,7 +150,7 @@ export class Designs {
       h("thead", {}, h("tr", {}, h("th", {}), outputs.map((one) => h("th", { scope: "col" }, h("span", { class: "tilt" }, one.name.replace(/^error /, "")))))),
       h("tbody", {}, inputs.map((row) => h("tr", {}, h("th", { scope: "row" }, row.name), outputs.map((column) => {
         const r = correlation(row, column, this.chosen);
-        return h("td", {}, h("button", { type: "button", class: `cell${r < 0 ? " against" : ""}${Math.abs(r) > 0.5 ? " dark" : ""}`, style: { "--mac": Math.abs(r || 0) }, "aria-pressed": String(this.x === row.name && this.y === column.name),
+        return h("td", {}, h("button", { type: "button", class: `cell${shade(Math.abs(r), r < 0)}`, style: { "--mac": Math.abs(r || 0) }, "aria-pressed": String(this.x === row.name && this.y === column.name),
           title: `${row.name} and ${column.name}: ${Number.isFinite(r) ? r.toFixed(2) : "unknown"}`, "aria-label": `${row.name} and ${column.name}: ${Number.isFinite(r) ? r.toFixed(2) : "unknown"}`,
           onclick: () => { this.x = row.name; this.y = column.name; this.draw(); } }, Math.abs(r) >= 0.095 ? r.toFixed(1).replace("0.", ".") : ""));
       })))));

@@ -22,6 +22,12 @@ export function s(tag, attributes, words = "") {
   return element;
 }
 
+// Classes of a cell shaded by a share: from where on words read better in the other colour, on light and on dark pages.
+// Each limit is where black and white both have a contrast of 4.5 on the shade; it differs for shades against (orange).
+export function shade(share, against = false) {
+  return `${share >= (against ? 0.97 : 0.93) ? " over" : ""}${share >= (against ? 0.64 : 0.62) ? " over-dark" : ""}${against ? " against" : ""}`;
+}
+
 // What the server answers; a fault is an error with its sentence.
 export async function ask(path) {
   return answered(await fetch(path, { headers: { accept: "application/json" } }));

@@ -2,7 +2,7 @@
 import { afterFailure, bar } from "./app.js";
 import { Changes } from "./changes.js";
 import { Chart } from "./chart.js";
-import { ask, change, h, panel, tell } from "./dom.js";
+import { ask, change, h, panel, shade, tell } from "./dom.js";
 import { Shapes } from "./shapes.js";
 
 const STEPS = 1000;  // places of a slider
@@ -269,7 +269,7 @@ export class WhatIf {
     found.mac.forEach((row, k) => row.forEach((value, j) => {
       const cell = this.cells[k][j];
       cell.style.setProperty("--mac", value ?? 0);
-      cell.className = `cell${value > 0.5 ? " dark" : ""}${found.rows[k].partner === j + 1 ? " paired" : ""}`;
+      cell.className = `cell${shade(value)}${found.rows[k].partner === j + 1 ? " paired" : ""}`;
       cell.textContent = value >= 0.095 ? value.toFixed(2).replace(/^0/, "") : "";
     }));
   }
