@@ -119,3 +119,13 @@ def test_widths_of_two_ways_are_compared_where_both_name_the_effect(bench, capsy
 def test_without_intervals_no_widths_are_told(bench, capsys):
     bench("rates_beside").report_widths({"joint": [_run(1)], "modes": [_run(1)]})
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.slow
+@pytest.mark.whole
+def test_a_cluster_whose_workers_are_killed_has_the_table_of_one_process(bench, monkeypatch, capsys):
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(sys, "argv", ["cluster.py", "--points", "600", "--kill", "2"])
+    bench("cluster").main()
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["killed"] >= 1 and found["differ"] == 0 and found["points"] == 600

@@ -353,7 +353,7 @@ class _Batch:
         self._threads = self._cluster.threads()
         self._without = 0.0 if self._threads else self._without + _LOOK
         if self._without >= _PATIENCE:
-            self._cluster.once("workers", f"{self._cluster.name} has no worker: points wait for one")
+            self._cluster.once("workers", f"the cluster {self._cluster.name} has no worker: points wait for one")
 
 
 def _nothing() -> None:
