@@ -294,8 +294,12 @@ def test_the_vehicle_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     stable = set(table.loc[table["stable"].astype(bool), "parameter"])
     assert stable >= {"K_secondary_front", "K_secondary_rear", "RMI_base", "RMI_walls"}  # as in the case study
     verdicts = pd.read_csv(tmp_path / "vehicle/verdicts.csv").set_index("parameter")["sentence"]
-    assert "trades most with m_cover" in verdicts["m_walls"] and "trades most with m_walls" in verdicts["m_cover"]
+    assert "trades most with RMI_walls" in verdicts["m_walls"]
     for name, rows in identified.groupby("parameter"):
         span = (rows["upper"] - rows["lower"]).iloc[0]
         assert rows["value"].max() - rows["value"].min() <= 0.10 * span
-        assert np.abs(rows["value"] - TRUTH["parameters"][name]).max() <= 0.10 * span
+        assert (np.abs(rows["value"] - TRUTH["parameters"][name]) <= 3 * rows["std"]).all()
+    # What the study holds leaves the shares of the equipment open.
+    held = pd.read_csv(tmp_path / "vehicle/considered.csv").set_index("parameter")
+    assert held.loc["m_base", "adds_to"] == "m_walls"
+    assert held.loc["m_base", "std_with"] > 3 * held.loc["m_base", "std_without"]

@@ -67,8 +67,8 @@ def test_wider_limits_of_the_search_leave_the_bogies_identified_parameters_as_th
     """At values near those that the twin was made from."""
     study = LoadedStudy.load(ROOT / "studies/bogie")
     at = {
-        "K_primary": 825.0, "c_primary": 15.2, "m_girder_centre": 127.0, "m_girder_ends": 9.1, "m_crossbar": 47.0,
-        "K_block": 10330.0, "K_rod_upper": 6.34, "K_rod_lower": 14.64, "pos_long_left": 7.0, "pos_long_right": 2.0,
+        "K_primary": 705.0, "c_primary": 14.9, "m_girder_centre": 90.0, "m_girder_ends": 22.0, "m_crossbar": 97.0,
+        "K_block": 10390.0, "K_rod_upper": 9.7, "K_rod_lower": 29.2, "pos_long_left": 5.0, "pos_long_right": 8.0,
     }  # fmt: skip
 
     def verdicts(search):
@@ -84,7 +84,7 @@ def test_wider_limits_of_the_search_leave_the_bogies_identified_parameters_as_th
 
     narrow = verdicts({})
     wide = verdicts({"K_primary": (200.0, 2000.0), "c_primary": (2.0, 60.0), "K_block": (2000.0, 60000.0)})
-    pd.testing.assert_series_equal(wide["std"], narrow["std"], rtol=0.1)  # priors follow the limits
+    pd.testing.assert_series_equal(wide["std"], narrow["std"], rtol=0.15)  # priors follow the limits
     assert wide["needed"].tolist() == narrow["needed"].tolist()
     assert wide["identified"].tolist() == narrow["identified"].tolist()
     assert 0 < narrow["identified"].sum() < len(narrow)
