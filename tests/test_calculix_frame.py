@@ -24,6 +24,7 @@ def test_the_deck_is_that_of_its_maker_and_the_study_asks_it_for_what_was_measur
 
 
 @pytest.mark.slow
+@pytest.mark.whole
 @pytest.mark.skipif(shutil.which("ccx") is None, reason="CalculiX (ccx) is not installed")
 def test_it_is_imported_calibrated_and_goes_back(tmp_path):
     shutil.copytree(HERE, tmp_path / "frame")

@@ -82,6 +82,10 @@ class FitSettings:
         Initial damping over the largest curvature.
     rejections : int
         Largest number of consecutive steps that fail to lower the sum of squares.
+    noise : float
+        Predicted decrease over the sum of squares up to which such a failure counts as noise of the model, as of a
+        solver that prints seven digits: the fit has converged, and after ``noisy_rejections`` no more are tried.
+    noisy_rejections : int
     evaluations : float
         Number of residuals after which no further step is tried.
     """
@@ -91,6 +95,8 @@ class FitSettings:
     relative: float = 1e-9
     damping: float = 1e-3
     rejections: int = 20
+    noise: float = 1e-6
+    noisy_rejections: int = 4
     evaluations: float = math.inf
 
 
@@ -261,7 +267,9 @@ def fit_steps(
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
         move = region.step(matrix, right, mu, here.x)
-        while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
+        noisy = promised <= settings.noise * here.misfit
+        most = min(settings.noisy_rejections, settings.rejections) if noisy else settings.rejections
+        while there is None and rejected < most and search.evaluations < settings.evaluations:
             there_x = region.inside(here.x + move)
             yield region.values(there_x), ()
             trial = search.at(there_x)
@@ -271,12 +279,11 @@ def fit_steps(
                 there, rejected = trial, 0
             else:
                 tried = move
-                while rejected < settings.rejections and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
+                while rejected < most and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
                     mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
                     move = region.step(matrix, right, mu, here.x)
         if there is None:
-            # The model may be noisy at this scale; the predicted decrease says whether that matters.
-            converged = promised <= 1e-6 * here.misfit
+            converged = noisy
             reason = f"no step lowers the misfit further (one promised {promised:.2g} of {here.misfit:.4g})"
             break
         iteration += 1

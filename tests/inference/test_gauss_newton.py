@@ -171,6 +171,20 @@ def test_a_cost_that_cannot_fall_ends_the_fit():
     assert not found.converged and found.iterations == 0 and "no step lowers" in found.reason
 
 
+def test_a_decrease_that_is_noise_is_not_sought_for_long():
+    """A large residual that nothing moves, with a slope of rounding: one part in 1e8 of its square seems to be won."""
+
+    class Rounded(Linear):
+        def jacobian(self, values, names):
+            return super().jacobian(values, names) + np.array([[1e-4], [0.0]])
+
+    problem = Rounded(("p0",), np.array([[0.0], [1.0]]), np.array([-1e3, 0.5]))
+    found = fit(problem, box(1), {"p0": 0.5}, Prior.none())
+    assert found.converged and found.iterations == 0 and len(problem.points) == 5
+    sought = fit(problem, box(1), {"p0": 0.5}, Prior.none(), FitSettings(noise=0.0))
+    assert not sought.converged and sought.evaluations == 21
+
+
 class Far:
     """A line, and a misfit that no parameter changes."""
 
