@@ -267,9 +267,10 @@ def fit_steps(
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
         move = region.step(matrix, right, mu, here.x)
-        noisy = promised <= settings.noise * here.misfit
-        most = min(settings.noisy_rejections, settings.rejections) if noisy else settings.rejections
-        while there is None and rejected < most and search.evaluations < settings.evaluations:
+        noisy, failed = promised <= settings.noise * here.misfit, 0
+        while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
+            if noisy and failed >= settings.noisy_rejections:
+                break
             there_x = region.inside(here.x + move)
             yield region.values(there_x), ()
             trial = search.at(there_x)
@@ -278,8 +279,8 @@ def fit_steps(
                 mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
                 there, rejected = trial, 0
             else:
-                tried = move
-                while rejected < most and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
+                tried, failed = move, failed + 1
+                while rejected < settings.rejections and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
                     mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
                     move = region.step(matrix, right, mu, here.x)
         if there is None:

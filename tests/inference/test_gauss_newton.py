@@ -182,7 +182,7 @@ def test_a_decrease_that_is_noise_is_not_sought_for_long():
     found = fit(problem, box(1), {"p0": 0.5}, Prior.none())
     assert found.converged and found.iterations == 0 and len(problem.points) == 5
     sought = fit(problem, box(1), {"p0": 0.5}, Prior.none(), FitSettings(noise=0.0))
-    assert not sought.converged and sought.evaluations == 21
+    assert not sought.converged and sought.evaluations > 2 * found.evaluations
 
 
 class Far:
