@@ -82,7 +82,7 @@ def test_of_two_units_each_has_its_own_mode(order):
     values = {"brake": 0.02, "brake_freq": 10.0, "lamp": 0.02, "lamp_freq": 60.0}
     table = own_modes(base, effects, found(extend(base, effects), values)).set_index("effect")
     assert dict(table["natural_freq"].round()) == {"brake": 10.0, "lamp": 60.0}
-    assert own_modes_sentence(table.reset_index()).count("brings a mode") == 2
+    assert own_modes_sentence(table.reset_index()).count("adds a mode") == 2
 
 
 def test_a_mode_that_a_measured_mode_pairs_with_is_not_told():

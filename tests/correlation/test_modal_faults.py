@@ -206,7 +206,7 @@ def test_moduli_with_a_sign_are_recognised(faulty, build, twin):
     turned = shapes * np.exp(-0.5j * np.angle(np.sum(shapes**2, axis=0)))
     signed = np.copysign(np.abs(turned), turned.real)
     measured = dataclasses.replace(twin(model, TRUTH, real=True), shapes=signed.astype(complex))
-    name = "shapes given as modulus and sign"
+    name = "shapes given as amplitude and sign"
     residual = ModalResidual(ModalProblem(model, measured, mode_count=8), faults=modal_faults(model, measured))
     left = {q: np.linalg.norm(residual.residual({**TRUTH, name: q})) for q in (0.0, 0.5, 1.0)}
     assert left[1.0] < 1e-5 and left[0.0] > left[0.5] > 0.1

@@ -98,7 +98,7 @@ def test_an_effect_that_pulls_a_parameter_is_not_named(toy):
     toy = replace(toy, columns=columns)
     for f in toy.explained({"hidden": 1.0}, 4):
         assert f.verdict == "none_explains"
-        assert f.chosen.names == ("E0",) and "P1 has a pull" in f.chosen.implausible
+        assert f.chosen.names == ("E0",) and "P1 has shifted" in f.chosen.implausible
 
 
 def test_collinear_effects_are_one_group(toy):

@@ -60,7 +60,7 @@ def test_an_effect_like_a_granted_fault_is_told_in_its_place(faulty):
     found = decide(made.drawn(np.random.default_rng(3), {"E1": 2.0, "F2": 3.0}))
     assert found.verdict == "effect" and found.credible == ("E1",) and found.mistakable == (("F2", "E2"),)
     assert "In the place of F2, E2 explains about as well" in text_of(found)
-    assert to_add(found) is None and "faults" in nothing_added(found)
+    assert to_add(found) is None and "errors" in nothing_added(found)
 
 
 def test_two_effects_of_which_one_is_like_added_damping_are_told_with_it(faulty):

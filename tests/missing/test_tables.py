@@ -238,7 +238,7 @@ def test_an_implausible_effect_has_its_reason_in_its_row(toy):
     made = replace(made, columns={**made.columns, "hidden": made.columns["E0"] - 4.0 * made.columns["P1"]})
     _, found = found_in(made, {"hidden": 1.0})
     table = table_of(found).set_index("name")
-    assert "P1 has a pull" in table.loc["E0", "implausible"] and not table.loc["E0", "credible"]
+    assert "P1 has shifted" in table.loc["E0", "implausible"] and not table.loc["E0", "credible"]
 
 
 # -- collinear and confounded ------------------------------------------------------------------------------------------

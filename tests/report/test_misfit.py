@@ -147,7 +147,7 @@ def test_values_stand_beside_the_dots_with_their_unit(pulls):
 
 def test_the_legend_has_an_entry_for_what_is_drawn(pulls):
     words = [t.get_text() for t in draw_pulls(pulls).get_legend().get_texts()]
-    assert words == ["model as it is, calibrated", "with arb + seats, calibrated", "limit ± 2.50", "pulled"]
+    assert words == ["model as it is, calibrated", "with arb + seats, calibrated", "limit ± 2.50", "shifted too far"]
     calm = pulls[pulls["model"] != "base"].assign(limit=np.nan)
     assert [t.get_text() for t in draw_pulls(calm).get_legend().get_texts()] == ["with arb + seats, calibrated"]
 
