@@ -146,7 +146,8 @@ def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, found: Scatter) -> tuple
 
     Drift and masses move all resonances. One that differs `RULES.scatter_alone` times as much as the others may in the
     median is taken for two modes unless its movement describes the FRFs clearly better than two common poles; a
-    resonance without others is, where these are clearly the better description.
+    resonance without others is, where these are clearly the better description. Where one common pole describes the
+    FRFs around it as well as two do, it differs by what the model lacks elsewhere in the band, and is one.
 
     Parameters
     ----------
@@ -166,7 +167,8 @@ def hidden_pairs(frfs: MeasuredFRFs, poles: np.ndarray, found: Scatter) -> tuple
         pair = poles[k] + 1j * np.array([-1.0, 1.0]) * PAIR_START * abs(poles[k].real)
         both = np.append(poles[[m for m in near if m != k]], pair)
         margin = RULES.pair_surely * (-1 if len(others) else 1)
-        if _cost(window, poles[near], True, 1) > _cost(window, both, False, 1) + margin:
+        two = _cost(window, both, False, 1)
+        if two < _cost(window, poles[near], False, 0) and _cost(window, poles[near], True, 1) > two + margin:
             pairs.append(k)
     return tuple(pairs)
 

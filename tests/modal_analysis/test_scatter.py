@@ -1,5 +1,6 @@
 """Poles that differ between functions: their scatter, their mean, and two stable poles that are one moving mode."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -99,6 +100,13 @@ def test_one_pole_of_two_modes_is_told_from_one_that_moves():
     found = scatter(close, most_likely_model(close, middle), 1)
     assert found.between[0] > 0 and hidden_pairs(close, middle, found) == (0,)
     assert hidden_pairs(measured(moved=1e-3), poles(), scattered(1e-3)) == ()
+
+
+def test_one_pole_that_describes_its_surroundings_as_well_as_two_is_one():
+    """What the model lacks elsewhere in a band, such as modes above it, moves the poles of single functions too."""
+    alone = scattered(0.0)
+    biased = replace(alone, between=np.array([0.0, 4e-4]), possible=np.array([1e-5, 4e-4]))
+    assert hidden_pairs(measured(), poles(), biased) == ()
 
 
 def test_two_functions_tell_no_scatter():
