@@ -31,7 +31,15 @@ from calib.modal_analysis.model import ModalFRFModel, fit_residues, most_likely_
 from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.scatter import hidden_pairs, scatter, without_split
 from calib.modal_analysis.spread import Spread, aligned, both_parts, jackknife
-from calib.modal_analysis.stabilisation import Chain, orders_needed, pole_chains, pole_table, stable, with_accepted
+from calib.modal_analysis.stabilisation import (
+    Chain,
+    orders_needed,
+    pole_chains,
+    pole_table,
+    stable,
+    stable_in_parts,
+    with_accepted,
+)
 
 
 def modes_from_frfs(
@@ -39,9 +47,10 @@ def modes_from_frfs(
 ) -> Identification:
     """Identify modes by stable poles, refine them by least squares, and check them against the FRFs.
 
-    The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`); those count
-    that stay (`stable`), and that are not one mode which moves between functions (`without_split`). All poles are then
-    refined together (`most_likely_model`), which removes the bias by noise. Where functions differ in a resonance, by
+    The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`), of the whole
+    band and of its parts (`stable_in_parts`); those count that stay (`stable`), and that are not one mode which moves
+    between functions (`without_split`). All poles are then refined together (`most_likely_model`), which removes the
+    bias by noise. Where functions differ in a resonance, by
     drift or by the mass of a roving sensor, its frequency and damping are the mean over the functions (`scatter`); it
     is refused where two modes explain that better (`hidden_pairs`).
     A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), where its shape
@@ -197,7 +206,10 @@ class _Identified:
 def _identified(frfs: MeasuredFRFs, accept: Sequence[float] = ()) -> _Identified:
     poles = poles_by_order(frfs)
     every, needed = pole_chains(frfs, poles), orders_needed(len(poles))
-    chains = with_accepted(every, stable(every, len(poles)), accept)
+    counted = stable(every, len(poles))
+    further = stable_in_parts(frfs, counted)
+    every += further
+    chains = with_accepted(every, (*counted, *further), accept)
     if not chains:
         none = fit_residues(frfs, np.zeros(0, complex))
         return _Identified(every, chains, none, np.zeros((0, 0)), np.zeros(0), needed)

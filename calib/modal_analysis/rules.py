@@ -16,6 +16,8 @@ class IdentifyRules:
     lines_per_order : int
         Fewest lines behind each pole: a function adds an equation a line, and each pole brings an unknown to the common
         denominator and one to the function's own numerator, so that about half of the equations are left over.
+    band_parts : int
+        Parts of the band in which poles are sought by themselves as well.
     lines_least : int
         Fewest lines of FRFs: ten orders, of which the rule of stabilisation needs five.
     freq_change : float
@@ -107,6 +109,7 @@ class IdentifyRules:
 
     frf_order_most: int = 40
     lines_per_order: int = 3
+    band_parts: int = 4
     lines_least: int = 20
     freq_change: float = 0.01
     damping_change: float = 0.05

@@ -11,6 +11,7 @@ import pandas as pd
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.mac import mac
 from calib.modal_analysis.model import fit_residues
+from calib.modal_analysis.poles import poles_by_order
 from calib.modal_analysis.rules import RULES
 
 
@@ -126,6 +127,42 @@ def stable(chains: Sequence[Chain], n_orders: int) -> tuple[Chain, ...]:
     return tuple(sorted(kept, key=lambda c: abs(c.pole)))
 
 
+def stable_in_parts(frfs: MeasuredFRFs, counted: Sequence[Chain]) -> tuple[Chain, ...]:
+    """Further chains that count as modes in a part of the band: weak ones, for which all orders of the band are few.
+
+    The band is cut into `RULES.band_parts` parts, or fewer where a part would have too few lines for the highest order,
+    and as many between them that overlap by half. A part answers for its middle half, and at an end of the band up to
+    it: poles at its other ends stand for modes beyond. One within half of a half-power width of another is that one
+    again, or of a mode that moves between functions.
+
+    Parameters
+    ----------
+    frfs : MeasuredFRFs
+        Without a line at 0 Hz.
+    counted : sequence of Chain
+        Those of the whole band, which are not returned again.
+    """
+    n = len(frfs.freq)
+    parts = min(RULES.band_parts, n // (RULES.frf_order_most * RULES.lines_per_order))
+    if parts < 2:
+        return ()
+    ends = np.linspace(0, n - 1, 2 * parts + 1).round().astype(int)
+    found: list[Chain] = []
+    for k in range(2 * parts - 1):
+        first, last = (float(frfs.freq[own]) for own in ends[[k, k + 2]])
+        margin = (last - first) / 4
+        low = first + margin * (k > 0)
+        high = last - margin * (k < 2 * parts - 2)
+        part = frfs.in_band(first, last)
+        poles = poles_by_order(part)
+        found += [one for one in stable(pole_chains(part, poles), len(poles)) if low <= _freq(one) <= high]
+    further: list[Chain] = []
+    for one in sorted(found, key=lambda c: -len(c.orders)):
+        if not any(_same(one, other) or _beside(one, other) for other in (*counted, *further)):
+            further.append(one)
+    return tuple(further)
+
+
 def with_accepted(chains: Sequence[Chain], counted: Sequence[Chain], accept: Sequence[float]) -> tuple[Chain, ...]:
     """Chains that count, and the longest one near each accepted frequency, Hz, where none of these lies.
 
@@ -152,6 +189,11 @@ def _freq(chain: Chain) -> float:
 def _same(one: Chain, other: Chain) -> bool:
     close = abs(abs(one.pole) - abs(other.pole)) <= 2 * max(-one.pole.real, -other.pole.real)
     return close and bool(mac(one.residues[-1][:, None], other.residues[-1][:, None])[0, 0] >= RULES.stable_mac)
+
+
+def _beside(one: Chain, other: Chain) -> bool:
+    """Whether two poles are closer than half of a half-power width, of the narrower."""
+    return bool(abs(abs(one.pole) - abs(other.pole)) <= min(-one.pole.real, -other.pole.real))
 
 
 def pole_table(chains: Sequence[Chain], modes: Sequence[Chain], window_rate: float = 0.0) -> pd.DataFrame:

@@ -5,7 +5,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.modal_analysis.stabilisation import Chain, pole_chains, pole_table, stable, with_accepted
+import calib
+from calib.measurement.frf import MeasuredFRFs
+from calib.modal_analysis.poles import poles_by_order
+from calib.modal_analysis.stabilisation import (
+    Chain,
+    pole_chains,
+    pole_table,
+    stable,
+    stable_in_parts,
+    with_accepted,
+)
 from calib.study.loading import module_of
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -97,3 +107,36 @@ def test_an_accepted_frequency_keeps_the_longest_chain_near_it_where_none_counts
 
     assert freqs() == freqs(10.05) == freqs(20.0) == freqs(50.0) == [10.0]
     assert freqs(30.2) == [10.0, 30.0]
+
+
+@pytest.fixture(scope="module")
+def many_modes():
+    """Nine modes in a wide band and eight above; the fifth and the seventh hardly move."""
+    rng = np.random.default_rng(4)
+    freq = np.arange(5.0, 80.0, 0.125)
+    own = np.array([12.5, 15.9, 18.6, 25.2, 30.7, 43.3, 48.4, 67.5, 71.0, 120.2, 127.3, 131.8, 155, 175, 186, 209, 233])
+    poles = pole(own, np.linspace(0.012, 0.006, len(own)))
+    shapes = rng.standard_normal((4, len(own)))
+    shapes[:, [4, 6]] *= 0.1
+    s = 2j * np.pi * freq[:, None]
+    each = s**2 / (s**2 - 2 * poles.real * s + np.abs(poles) ** 2)
+    values = np.einsum("fm,im,m->fi", each, shapes, shapes[0])[:, :, None]
+    std = 0.005 * np.abs(values)
+    values = values + std * (rng.standard_normal(values.shape) + 1j * rng.standard_normal(values.shape))
+    places = tuple(calib.Sensor(k, "z") for k in range(1, 5))
+    return MeasuredFRFs(freq, places, places[:1], "accelerance", values, std=std), own[:9]
+
+
+def test_weak_modes_of_a_wide_band_count_by_its_parts(many_modes):
+    frfs, own = many_modes
+    poles = poles_by_order(frfs)
+    whole = stable(pole_chains(frfs, poles), len(poles))
+    further = stable_in_parts(frfs, whole)
+    of_whole, of_parts = (np.array([abs(one.pole) / (2 * np.pi) for one in some]) for some in (whole, further))
+    assert abs(of_whole - 48.4).min() > 1.0 and abs(of_parts - 48.4).min() < 0.05
+    assert all(abs(own / f - 1).min() < 0.003 for f in of_parts)  # none stands for modes beyond a part
+    assert not any(abs(of_whole / f - 1).min() < 0.003 for f in of_parts)
+
+
+def test_few_lines_are_not_cut_into_parts(many_modes):
+    assert stable_in_parts(many_modes[0].in_band(50.0, 79.0), ()) == ()
