@@ -71,7 +71,7 @@ class AnsweredPlace:
         """What each mark of the picture stands for, by ``star``, ``diamond`` and ``ring``; ``what`` for the effects."""
         out = {}
         if len(self.acts):
-            out["star"] = f"{what}, {places(self.acts.tolist(), _PLACES)} m by the list of causes"
+            out["star"] = f"{what},\n{places(self.acts.tolist(), _PLACES)} m by the list of causes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m away"
             out["diamond"] = f"the data alone point to {self.alone}{away}"
@@ -169,7 +169,7 @@ def answer_figure(
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
     marks = found.marks(f"{what}, {size}" if size else what)
-    foot = 0.75 + 0.19 * len(marks)
+    foot = 0.75 + 0.19 * sum(1 + text.count("\n") for text in marks.values())
     height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
     figure = scene.new_scene(height, foot)
     panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
