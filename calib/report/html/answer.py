@@ -130,7 +130,7 @@ def doubts(results: StudyResults) -> list[tuple[str, str]]:
     found = [(str(one["doubt"]), str(one["check"])) for one in results.explanation.get("doubts", [])]
     found += [_own_mode(own) for own in results.added.get("own_modes", []) if not own.get("paired")]
     if any(run.get("quick") for run in results.analyses.values()):
-        found.append(("This is a quick run with small searches.", f"Run it in full: calib run {results.name}."))
+        found.append(("This is a quick run with small searches.", "Run it in full: calib run without --quick."))
     return found
 
 
