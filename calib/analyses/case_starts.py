@@ -80,10 +80,10 @@ def initial_population(study: AnyStudy, ledger: Ledger, size: int, seed: int) ->
         for one in given:
             named = _of_design("start_population", one, ledger, place) if isinstance(one, str) else one
             rows.append((named, None))
-    if len(rows) > size:
+    if len(rows) > (stated := max(size, study.settings.calibration.population)):
         remedy = f"name fewer, or set population = {len(rows)}"
-        raise InputError(f"{len(rows)} designs are named for {size} individuals", place=place, remedy=remedy)
-    for k, (values, row) in enumerate(rows):
+        raise InputError(f"{len(rows)} designs are named for {stated} individuals", place=place, remedy=remedy)
+    for k, (values, row) in enumerate(rows[:size]):  # a quick run has fewer individuals
         for j, p in enumerate(space.free):
             value = float(values.get(p.name, math.nan))
             if not p.lower <= value <= p.upper or (p.integer and value != round(value)):

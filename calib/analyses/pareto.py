@@ -18,7 +18,8 @@ from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.state import PARETO
 from calib.analyses.sensitivity import evaluated
 from calib.analyses.staged import required_calibration
-from calib.execution.outcome import Outcome, point_key
+from calib.errors.errors import InputError
+from calib.execution.outcome import Outcome, failure, point_key
 from calib.execution.stage import Progress, silent
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import Objective
@@ -31,6 +32,8 @@ from calib.study.several import AnyStudy
 
 FRONT, FITTED = "front", "least squares"
 """Kinds of rows."""
+COLUMNS = ("kind", "design", "first", "second", "objective", "knee", "lowest")
+"""Columns of the front before those of the parameters."""
 OBJECTIVES = ("name", "of", "responses", "weight", "least", "most", "knee", "lowest", "least_squares")
 
 
@@ -144,6 +147,9 @@ def pareto_at(study: AnyStudy, values: Mapping[str, float], run: ParetoRun) -> P
         For groups that match no response or overlap, and where the model can be evaluated at no point.
     """
     objective, space, settings = objective_of(study), study.search_space, _sizes(study, run)
+    if taken := [name for name in space.free_names if name in COLUMNS]:
+        words = f"a parameter has the name {taken[0]!r}, which a column of its table has too"
+        raise InputError(words, place="pareto", remedy="give the parameter another name")
     groups = groups_of(objective, run.settings.objectives)
     finder = CaseFinder(
         study.each(lambda one: recorded(one, run.ledger, run.workers)), run.ledger, run.homes, run.workers, run.quick,
@@ -163,7 +169,11 @@ def pareto_at(study: AnyStudy, values: Mapping[str, float], run: ParetoRun) -> P
     reached = list(found.values())
     candidates = [reached[k].values for k in front_of(_errors(reached, groups, objective))]
     outcomes = evaluated(study, run.ledger, [*candidates, space.complete(dict(values))], run.workers, run.progress)
-    good = [one for one in outcomes[:-1] if one.status == "ok"]
+    if outcomes[-1].status != "ok":
+        raise failure(outcomes[-1])
+    good = [one for one in outcomes[:-1] if one.status == "ok" and np.isfinite(_errors([one], groups, objective)).all()]
+    if not good:
+        raise failure(next((one for one in outcomes if one.status != "ok"), outcomes[0]))
     shown = [*(good[k] for k in front_of(_errors(good, groups, objective))), outcomes[-1]]
     keys = [point_key(one.values) for one in shown]
     numbers = run.ledger.numbers(Responses.of(study).fingerprint, keys)

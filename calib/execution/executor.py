@@ -162,8 +162,8 @@ class Injected:
 
 @contextmanager
 def injected(given: AnyExecutor | None, workers: int | None = None, tell: Tell = warned) -> Iterator[Injected | None]:
-    """As `Injected.of`, and released at the end unless the caller made it; None for none."""
-    found = None if given is None else Injected.of(given, workers, tell)
+    """As `Injected.of`, and released at the end unless the caller made it; None for none, and for own processes."""
+    found = None if given is None or given == "processes" else Injected.of(given, workers, tell)
     try:
         yield found
     finally:

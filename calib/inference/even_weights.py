@@ -64,7 +64,10 @@ class EvenWeights:
 
     def limited(self, residual: np.ndarray) -> EvenWeights:
         """The same, limited by the usual size of the rows of a residual (n_rows,) of the problem."""
-        usual = float(np.median(np.abs(residual[self.weights == 1.0])))
+        others = residual[self.weights == 1.0]
+        if not len(others):
+            return self
+        usual = float(np.median(np.abs(others)))
         return replace(self, most=LIMIT * max(usual, 1.0))
 
     def residual(self, values: Mapping[str, float]) -> np.ndarray:

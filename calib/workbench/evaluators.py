@@ -38,6 +38,7 @@ class Evaluator:
     def __init__(self, arguments: tuple[str, ...], stamp: Any):
         self.stamp, self.touched = stamp, time.monotonic()
         self.state: dict[str, Any] = {"stage": "starting", "done": 0, "total": 0}
+        self.was_ready = False
         self._answers: SimpleQueue[dict[str, Any]] = SimpleQueue()
         self._lock = threading.Lock()
         self._complaints = tempfile.TemporaryFile()
@@ -86,10 +87,10 @@ class Evaluator:
         assert self._process.stdout is not None
         for line in self._process.stdout:
             told = json.loads(line)
-            if "ready" in self.state:
+            if self.was_ready:
                 self._answers.put(told)
             else:
-                self.state = told
+                self.state, self.was_ready = told, "ready" in told
         if "fault" not in self.state:
             self._complaints.seek(0)
             last = self._complaints.read().decode("utf-8", "replace").strip().splitlines()[-1:]
@@ -106,13 +107,15 @@ class Evaluators:
         self._watching = False
 
     def of(self, place: tuple[str, ...], arguments: tuple[str, ...], stamp: Any) -> Evaluator:
-        """The process of a place of the page, started where there is none; one that failed stays while ``stamp`` does.
+        """The process of a place of the page, started where there is none.
 
-        ``arguments`` are those of `calib.workbench.what_if`.
+        One that failed before it was ready stays while ``stamp`` does. ``arguments`` are as in
+        `calib.workbench.what_if`.
         """
         with self._lock:
             known = self._known.get(place)
-            if known is None or known.stamp != stamp or (known.ended and "fault" not in known.state):
+            gone = known is not None and known.ended and (known.was_ready or "fault" not in known.state)
+            if known is None or known.stamp != stamp or gone:
                 self._drop(place)
                 while len(self._known) >= _MOST:
                     self._drop(min(self._known, key=lambda key: self._known[key].touched))

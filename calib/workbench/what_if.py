@@ -228,7 +228,7 @@ def _numbers(pair: Any, solution: Any) -> dict[str, Any]:
 def _slider(p: Parameter, most: float = math.inf) -> dict[str, Any]:
     upper = min(p.upper, most) if most > p.lower else p.upper
     return {
-        "name": p.name, "words": p.description, "unit": "" if p.unit == "-" else p.unit, "lower": max(p.lower, -upper),
+        "name": p.name, "words": p.description, "unit": "" if p.unit == "-" else p.unit, "lower": max(p.lower, -most),
         "upper": upper, "value": p.value, "integer": p.integer, "log": p.scale == "log" and p.lower > 0,
     }  # fmt: skip
 

@@ -66,6 +66,21 @@ def test_what_cannot_be_an_individual_is_refused(tmp_path):
         asked(str(file))
 
 
+def test_a_quick_run_takes_the_first_designs():
+    fit, _ = asked([{"a": 0.1 * k, "n": k} for k in range(6)])
+    assert fit.search.cases[0].asked == 12
+    with pytest.raises(InputError, match="7 designs"):
+        asked([{"a": 0.1 * k, "n": k} for k in range(7)])
+    study = fit.problem.study(fit.problem.settings.model_copy(update={"calibration": _named(fit)}))
+    few = initial_population(study, None, 4, 1)
+    np.testing.assert_allclose(few[:, 0], 0.1 * np.arange(4))
+
+
+def _named(fit):
+    designs = tuple({"a": 0.1 * k, "n": float(k)} for k in range(6))
+    return fit.problem.settings.calibration.model_copy(update={"start_population": designs, "population": 6})
+
+
 MODEL = """
 import calib
 

@@ -152,6 +152,7 @@ def test_one_text_file_for_each_function_repeat_by_repeat(tmp_path, head):
     ("text", "words"),
     [
         ("freq,1z/1z re,1z/1z im\n1,2\n", "names 3"),
+        ("Frequency (kHz),1z/1z re,1z/1z im\n1,2,3\n2,2,4\n", "'kHz'"),
         ("freq,1z/1z re,1z/1z im\n1,2,3\n2,x,4\n", "no number"),
         ("freq,1z/1z re\n1,2\n2,3\n", "re only"),
         ("freq,1z/1z re,1z/1z im\n1,2,3\n1,2,4\n", "twice"),

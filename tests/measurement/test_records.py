@@ -8,6 +8,7 @@ import pytest
 import pyuff
 
 from calib.errors.errors import InputError
+from calib.measurement.files.csv_record import read_record_csv
 from calib.measurement.files.read_records import hold_records, read_records
 from calib.measurement.record import MeasuredRecord, parse_motion_unit
 from calib.study.loading import module_of
@@ -258,3 +259,26 @@ def test_time_stamps_that_say_no_instant_are_refused(tmp_path, form, word):
 def test_values_that_are_not_finite_are_refused_in_python_too():
     with pytest.raises(InputError, match="no value"):
         MeasuredRecord(64.0, gap(VALUES), AMBIENT.record(AMBIENT.chain(), 1000, 1).sensors)
+
+
+@pytest.mark.parametrize(
+    ("header", "words"),
+    [
+        ("Time (s),12z (g),5rx (deg/s2)", "'deg/s2'"),
+        ("Time (s),12z,force 3z (kgf)", "'kgf'"),
+        ("time,12z,Mic:3:z", "'Mic:3:z'"),
+    ],
+)
+def test_units_and_channels_that_would_be_misread_are_refused(tmp_path, header, words):
+    rows = [",".join([f"{0.001 * k:.3f}", *["1.0"] * header.count(",")]) for k in range(2000)]
+    file = tmp_path / "record.csv"
+    file.write_text("\n".join([header, *rows]))
+    with pytest.raises(InputError, match=words):
+        read_record_csv(file)
+
+
+def test_a_force_is_one_with_or_without_a_separator(tmp_path):
+    file, rows = tmp_path / "record.csv", [f"{0.001 * k:.3f},{k % 7},{k % 5}" for k in range(2000)]
+    for name in ("force 3z", "force_3z", "Hammer3z", "Hammer 3z (N)"):
+        file.write_text("\n".join([f"time,12z,{name}", *rows]))
+        assert [sensor.name for sensor in read_record_csv(file).references] == ["3z"]

@@ -12,12 +12,13 @@ import numpy as np
 import pandas as pd
 import pytest
 
+import calib
 from calib.errors.errors import InputError
 from calib.report.html import space
 from calib.report.numbers import fixed
 from calib.study.loading import module_of
 from calib.workbench.evaluators import Evaluators
-from calib.workbench.what_if import WhatIf
+from calib.workbench.what_if import WhatIf, _slider
 
 CHAIN, PLAIN = (
     module_of(Path(__file__).resolve().parents[1] / f"template/{name}.py") for name in ("frf_chain", "plain")
@@ -112,6 +113,9 @@ def test_sliders_span_the_limits_of_the_search_and_a_plausible_effect(lacking):
     (slider,) = next(one["sliders"] for one in offered["effects"] if one["name"] == "guy")
     assert (slider["lower"], slider["upper"]) == (0.0, 4 * 5e3)
     assert [(one["words"], one["effects"]) for one in offered["starts"]] == [("Nominal values", [])]
+    for limits in ((-10.0, -1.0), (-40.0, 0.0), (-10.0, 2.0)):
+        slider = _slider(calib.Parameter("preload", limits[0], *limits))
+        assert (slider["lower"], slider["upper"]) == limits
 
 
 def test_the_motion_of_a_mesh_is_packed_as_the_viewer_reads_it(what_if, here):

@@ -93,6 +93,8 @@ class ModalResidual:
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (len(self.rows), self._damped, self._parts, self.factor_sensors)  # the measurement has their names
         mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
+        step = getattr(self.problem.model, "step", None)  # of derivatives, of a function of modes
+        mesh += [] if step is None else [step]
         faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []), *mesh)[:16]
 

@@ -25,8 +25,10 @@ FINEST = 1e-12
 """Smallest plausible standard deviation of a measurement, relative to the value."""
 
 
+NO_MOTION = "mic|sound|strain|temp|tacho|volt|press|current|rpm"
+"""Beginnings of names of channels that measure no motion."""
 END = (
-    r"(?<![\w.])(?:(?i:acc|accel|acceleration|vel|velocity|disp|displacement|point|pt|node|dof|frf|force|hammer)[\s_:]*|\w+:)?"
+    rf"(?<![\w.])(?:(?i:acc|accel|acceleration|vel|velocity|disp|displacement|point|pt|node|dof|frf|force|hammer)[\s_:]*|(?!(?i:{NO_MOTION}))[a-zA-Z]\w*:)?"
     r"(\d{1,10})[\s:]*([+-]?[a-zA-Z]+)"
 )
 """Pattern of a node with a direction, perhaps behind a word or a component: ``12z``, ``Acc 12Z``, ``Wing:12:+Z``."""

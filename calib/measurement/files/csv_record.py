@@ -17,9 +17,10 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.measurement.record import MOTION_OF, MeasuredRecord, Motion, even_rate, parse_motion_unit
 from calib.results.table import read_rows
 
-_FORCE = re.compile(r"(force|hammer)\b.*|(force|hammer)_.*", re.IGNORECASE)
+_FORCE = re.compile(r"(force|hammer)(?![a-z]).*", re.IGNORECASE)
 _UNIT = re.compile(r"#\s*unit\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
 _SECONDS = ("", "s", "sec", "seconds")
+_ROTATIONS = ("", "rad", "rad/s", "rad/s2", "rad/s^2", "rad/s²")
 
 
 def header_of(path: Path) -> tuple[list[str], str]:
@@ -88,8 +89,12 @@ def read_record_csv(path: Path, unit: str | None = None) -> MeasuredRecord:
     )
     if twice is not None:
         raise InputError(f"the sensor {Sensor(*twice).name} is there twice", place=path, remedy="keep one")
-    along = [header[k] for k, (end, _) in zip(moved, ends, strict=True) if not end[1].startswith("r")]
-    motion, units, notes = _stated(path, unit, along, [header[k] for k in forced])
+    along, turned = ([header[k] for k, (end, _) in zip(moved, ends, strict=True) if end[1].startswith("r") is rotates]
+                     for rotates in (False, True))  # fmt: skip
+    if (own := _one_unit(path, turned)) not in _ROTATIONS:
+        raise InputError(f"its rotation {turned[0]!r:.40} is in {own!r:.40}", place=path, remedy="give it in rad")
+    pushed = [header[k] for k, (end, _) in zip(forced, loads, strict=True) if not end[1].startswith("r")]
+    motion, units, notes = _stated(path, unit, along, pushed, bool(loads))
     table = _numbers(path, header, separator, at)
     time, values, forces = table[:, at], table[:, moved], table[:, forced]
     if not np.all(np.isfinite(time)):
@@ -117,10 +122,13 @@ def _end(path: Path, name: str) -> tuple[tuple[int, str], int]:
 
 
 def _stated(
-    path: Path, unit: str | None, motions: Sequence[str], forces: Sequence[str]
+    path: Path, unit: str | None, motions: Sequence[str], forces: Sequence[str], forced: bool
 ) -> tuple[Motion | None, FRFUnits, tuple[str, ...]]:
     """Motion, SI values of its unit and that of the force, and what is assumed; from the names of columns too."""
     moved, pushed = (_one_unit(path, columns) for columns in (motions, forces))
+    if pushed and pushed not in FORCES:
+        remedy = f"give it in one of {', '.join(FORCES)}"
+        raise InputError(f"its force {forces[0]!r:.40} is in {pushed!r:.40}", place=path, remedy=remedy)
     given: list[tuple[str, str | Path | Place]] = [(moved, path)] if moved else []
     with path.open(encoding="utf-8-sig", errors="replace") as lines:
         for number, line in enumerate(lines, start=1):
@@ -136,7 +144,7 @@ def _stated(
         given.append((unit, path))
     found: list[tuple[Motion, FRFUnits, bool]] = []
     for text, place in given:
-        one = parse_record_unit(text, place, bool(forces))
+        one = parse_record_unit(text, place, forced)
         found.append(parse_record_unit(f"({text})/{pushed}", place, True) if pushed and not one[2] else one)
     for other in found[1:]:
         own, first = (one[1] if other[2] and found[0][2] else FRFUnits(one[1].motion) for one in (other, found[0]))
@@ -145,7 +153,7 @@ def _stated(
     if not found:
         return None, FRFUnits(force=FORCES.get(pushed, 1.0)), (f"{path}: no unit is stated: SI assumed",)
     motion, units, stated = max(found, key=lambda one: one[2])
-    return motion, units, () if stated or not forces else (f"{path}: no unit of the force is stated: N assumed",)
+    return motion, units, () if stated or not forced else (f"{path}: no unit of the force is stated: N assumed",)
 
 
 def _one_unit(path: Path, columns: Sequence[str]) -> str:

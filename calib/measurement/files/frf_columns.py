@@ -92,6 +92,8 @@ def read_columns(
         words = f"it has {table.shape[1]} columns of numbers, but names {len(columns)}"
         raise InputError(words, place=path, remedy="name every column")
     freq = table[:, 0]
+    if (unit := titled(columns[0])[1]) not in ("", "Hz"):
+        raise InputError(f"its frequencies are in {unit!r:.40}", place=path, remedy="give them in Hz")
     if not np.all(np.isfinite(freq)) or freq.min() < 0 or freq.max() >= FREQ_LIMIT:
         raise InputError("a frequency in its first column is none", place=path, remedy="give it in Hz")
     parts: dict[tuple[Key, int], dict[str, np.ndarray]] = {}
