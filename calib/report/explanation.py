@@ -25,6 +25,8 @@ COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
 _WIDE = 60.0
 """Largest log Bayes factor that is drawn on a linear axis."""
+_LABEL = 0.12
+"""Least distance of two ticks, over the width of the axis."""
 _TICKS = (-3000, -1000, -300, -100, -30, 0, 10, 50, 100, 300, 1000, 3000, 10000, 30000, 100000)
 """Marks of an axis of roots."""
 _NOTE = (
@@ -113,7 +115,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         # The value and a word stand beside the largest.
         left, right = min(1.3 * low, -2.0), 2.2 * max(high, 100.0)
         ax.set_xlim(left, right)
-        ticks = [t for t in _TICKS if left <= t <= right]
+        ticks = _apart([t for t in _TICKS if left <= t <= right], left, right)
         ax.set_xticks(ticks, [f"{t:g}".replace("-", "−") for t in ticks])
         label += "\non a scale of square roots"
     else:
@@ -333,6 +335,15 @@ def _beside(ax: Axes, row: float, z: str, likely: str, colour: str) -> None:
 def _height(count: int) -> float:
     """Height in inches of a figure with one row per effect, whose name may take two lines."""
     return 1.6 + 0.36 * max(count, 1)
+
+
+def _apart(ticks: list[int], left: float, right: float) -> list[int]:
+    """Ticks whose labels do not touch on an axis of roots: 0, then the largest first."""
+    span, kept = float(np.ptp(_root(np.array([left, right])))), list[int]()
+    for tick in sorted(ticks, key=lambda one: (one != 0, -abs(one))):
+        if all(abs(_root(np.array(tick)) - _root(np.array(other))) >= _LABEL * span for other in kept):
+            kept.append(tick)
+    return sorted(kept)
 
 
 def _root(value: np.ndarray) -> np.ndarray:
