@@ -163,7 +163,8 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
     (effect,) = found.fault.effects
     assert effect.told(effect.as_told(value)) == words
     ends = re.search(r"\(95 %: (\S+) to (\S+) ", fault_words(found.fault))
-    assert float(ends[1]) < effect.as_told(fitted) < float(ends[2])
+    percent = 100.0 if effect.magnitude.unit == "-" else 1.0
+    assert float(ends[1]) < percent * effect.as_told(fitted) < float(ends[2])
 
 
 @pytest.mark.parametrize("ground", [0.0, 3e3])
@@ -282,4 +283,5 @@ def test_a_planted_fault_of_a_transducer_is_named(bogie, plant, name, value, wor
     (effect,) = found.fault.effects
     assert effect.told(effect.as_told(value)) == words
     ends = re.search(r"\(95 %: (\S+) to (\S+) ", fault_words(found.fault))
-    assert float(ends[1]) < effect.as_told(fitted) < float(ends[2])
+    percent = 100.0 if effect.magnitude.unit == "-" else 1.0
+    assert float(ends[1]) < percent * effect.as_told(fitted) < float(ends[2])
