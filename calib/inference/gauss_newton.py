@@ -280,6 +280,8 @@ def fit_steps(
                 there, rejected = trial, 0
             else:
                 tried, failed = move, failed + 1
+                mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
+                move = region.step(matrix, right, mu, here.x)
                 while rejected < settings.rejections and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
                     mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
                     move = region.step(matrix, right, mu, here.x)
