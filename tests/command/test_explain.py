@@ -87,6 +87,7 @@ def test_the_summary_has_exactly_the_keys_of_a_modal_study_with_a_finer_mesh(guy
         "local_perturbations", "local_perturbation", "place", "evaluations", "errors", "begun_anew",
         "accuracy", "std_assumed", "accuracy_that_explains", "alpha",
         "misfit_at", "measurement_fault", "wrong_datum", "refused", "nearly", "faults", "blamed",
+        "to_add", "pair_faults", "doubts",
         "basis_error", "discretisation", "seconds", "evaluations_intervals", "evaluations_recommendation",
     }  # fmt: skip
     assert set(explanation()["effects"][0]) == {
