@@ -181,7 +181,7 @@ def pareto_at(study: AnyStudy, values: Mapping[str, float], run: ParetoRun) -> P
     table.insert(1, "design", [numbers[key] for key in keys])
     parameters = pd.DataFrame([{name: one.values[name] for name in space.free_names} for one in shown])
     notes = tuple(words for own in finder.reduction_notes.values() for words in own)
-    return Pareto(table.join(parameters), _objectives(table, groups), len(found), settings, notes)
+    return Pareto(table[list(COLUMNS)].join(parameters), _objectives(table, groups), len(found), settings, notes)
 
 
 def _sizes(study: AnyStudy, run: ParetoRun) -> GeneticSettings:

@@ -42,7 +42,9 @@ class EvenWeights:
     ----------
     problem : LeastSquares
     weights : ndarray (n_rows,)
-        Of the residual and its derivatives; below 1 for shapes.
+        Of the residual and its derivatives.
+    shapes : ndarray (n_rows,), bool
+        Whether a row is one of a shape.
     most : float
         Limit of the other rows, beyond which an error costs no more: one mode that finds no partner on the way must
         not outweigh what all others gain.
@@ -50,21 +52,22 @@ class EvenWeights:
 
     problem: LeastSquares
     weights: np.ndarray
+    shapes: np.ndarray
     most: float = math.inf
 
     @classmethod
     def of(cls, problem: LabelledLeastSquares) -> EvenWeights | None:
         """The weights that make the rows of each shape count as one; None where no shape has `MANY`."""
-        rows = problem.rows
-        number = Counter(row.mode for row in rows if row.kind == "shape")
+        shapes = [(getattr(row, "test", ""), row.mode) if row.kind == "shape" else None for row in problem.rows]
+        number = Counter(filter(None, shapes))
         if max(number.values(), default=0) < MANY:
             return None
-        one = {mode: 1 / math.sqrt(n) for mode, n in number.items()}
-        return cls(problem, np.array([one[row.mode] if row.kind == "shape" else 1.0 for row in rows]))
+        weights = np.array([1 / math.sqrt(number[shape]) if shape else 1.0 for shape in shapes])
+        return cls(problem, weights, np.array([shape is not None for shape in shapes]))
 
     def limited(self, residual: np.ndarray) -> EvenWeights:
         """The same, limited by the usual size of the rows of a residual (n_rows,) of the problem."""
-        others = residual[self.weights == 1.0]
+        others = residual[~self.shapes]
         if not len(others):
             return self
         usual = float(np.median(np.abs(others)))
@@ -81,4 +84,4 @@ class EvenWeights:
         return np.where(self._beyond(self.problem.residual(values))[:, None], 0.0, slope)
 
     def _beyond(self, rows: np.ndarray) -> np.ndarray:
-        return (self.weights == 1.0) & (np.abs(rows) > self.most)
+        return ~self.shapes & (np.abs(rows) > self.most)

@@ -269,7 +269,7 @@ def fit_steps(
         move = region.step(matrix, right, mu, here.x)
         noisy, failed = promised <= settings.noise * here.misfit, 0
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
-            if noisy and failed >= settings.noisy_rejections:
+            if noisy and failed == settings.noisy_rejections:
                 break
             there_x = region.inside(here.x + move)
             yield region.values(there_x), ()
@@ -280,11 +280,11 @@ def fit_steps(
                 there, rejected = trial, 0
             else:
                 tried, failed = move, failed + 1
-                mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
-                move = region.step(matrix, right, mu, here.x)
-                while rejected < settings.rejections and np.linalg.norm(move - tried) <= _SAME * np.linalg.norm(tried):
+                other = False
+                while not other and rejected < settings.rejections:
                     mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
                     move = region.step(matrix, right, mu, here.x)
+                    other = bool(np.linalg.norm(move - tried) > _SAME * np.linalg.norm(tried))
         if there is None:
             converged = noisy
             reason = f"no step lowers the misfit further (one promised {promised:.2g} of {here.misfit:.4g})"

@@ -92,11 +92,12 @@ class ModalResidual:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
         std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (len(self.rows), self._damped, self._parts, self.factor_sensors)  # the measurement has their names
-        mesh = [] if self.problem.mesh is None else [self.problem.mesh.fingerprint]
-        step = getattr(self.problem.model, "step", None)  # of derivatives, of a function of modes
-        mesh += [] if step is None else [step]
         faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
-        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *([faults] if faults else []), *mesh)[:16]
+        mesh, step = self.problem.mesh, getattr(self.problem.model, "step", None)  # of a function's derivatives
+        more = [faults or None, None if mesh is None else mesh.fingerprint, step]
+        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *(one for one in more if one is not None))[
+            :16
+        ]
 
     @property
     def kinds(self) -> np.ndarray:
