@@ -94,7 +94,8 @@ class ModalResidual:
         layout = (len(self.rows), self._damped, self._parts, self.factor_sensors)  # the measurement has their names
         faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         mesh, step = self.problem.mesh, getattr(self.problem.model, "step", None)  # of a function's derivatives
-        more = [faults or None, None if mesh is None else mesh.fingerprint, step]
+        further = [faults or None, None if mesh is None else mesh.fingerprint, step]
+        more = [one for one in further if one is not None]
         return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *(one for one in more if one is not None))[
             :16
         ]
