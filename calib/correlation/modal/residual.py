@@ -90,15 +90,12 @@ class ModalResidual:
     @property
     def fingerprint(self) -> str:
         """Hash that changes whenever the residual or its derivatives at the same named values could."""
-        std = (self.std.freq, self.std.damping, self.std.shape)
         layout = (len(self.rows), self._damped, self._parts, self.factor_sensors)  # the measurement has their names
         faults = [(f.name, f.shares, f.damping, f.mixed) for f in self.faults]
         mesh, step = self.problem.mesh, getattr(self.problem.model, "step", None)  # of a function's derivatives
         further = [faults or None, None if mesh is None else mesh.fingerprint, step]
-        more = [one for one in further if one is not None]
-        return digest_of(_DEFINITION, self.problem.fingerprint, std, layout, *(one for one in more if one is not None))[
-            :16
-        ]
+        own = ((self.std.freq, self.std.damping, self.std.shape), layout, *(one for one in further if one is not None))
+        return digest_of(_DEFINITION, self.problem.fingerprint, *own)[:16]
 
     @property
     def kinds(self) -> np.ndarray:
