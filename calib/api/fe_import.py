@@ -148,7 +148,7 @@ def import_matrices(
         A table ``node, x, y, z`` in m, or a deck with ``*NODE`` or ``GRID``.
     units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}, optional
         Of the matrices and the deck; by default m-kg-N, which is told with the mass in the others.
-    stiffness, mass, damping : name or sequence of names, optional
+    stiffness, mass, damping : str or sequence of str, optional
         Of matrices or their files, where these do not tell what they are. Each stiffness matrix gets a parameter.
     modes : path, optional
         What the code itself computed; see `calib.compare_modes`.

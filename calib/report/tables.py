@@ -98,8 +98,9 @@ def has_column(path: Path, column: str) -> bool:
 
 
 def read_results(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
-    """Read a table as `calib.results.table.read_table` does, with rows that are unique by their `KEYS`."""
-    more.setdefault("unique", key_of(path.stem))
+    """Read a table as `calib.results.table.read_table` does, with rows unique by their `KEYS`, in each test."""
+    key = key_of(path.stem)
+    more.setdefault("unique", (TEST, *key) if key and TEST not in key and has_column(path, TEST) else key)
     return table.read_table(path, text, numbers, **more)
 
 

@@ -75,7 +75,6 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "docs/studies.md", f"effect: {size:.1f} kg (95 %: {low:.1f} to {high:.1f} kg)"
 
     threshold = np.log(len(effects)) + 3
-    yield "docs/tutorial.md", f"this study has {len(effects)} effects"
     yield "docs/tutorial.md", f"{n_local} local stiffness or mass changes"
     yield "docs/tutorial.md", f"is {unit['ln_bayes']:.0f}; the next effect has {mass['ln_bayes']:.0f}"
     yield "docs/decision.md", f"| {threshold:.1f} for {len(effects)} effects |"

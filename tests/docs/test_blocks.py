@@ -28,8 +28,10 @@ def parameters() -> list:
 def test_every_block_of_a_page_runs(undrawn, tmp_path, monkeypatch, page):
     monkeypatch.chdir(tmp_path)
     names = RUN["run_page"](page, tmp_path)
-    if (tmp_path / "results").is_dir():  # of the hidden bogie, among others
-        assert TABLES["missing"](tmp_path / "results") == {} == TABLES["stale"](tmp_path / "results")
+    if (tmp_path / "results").is_dir():
+        assert TABLES["missing"](tmp_path / "results") == {}
+    if (tmp_path / "results/hidden_bogie").is_dir():  # its tables of modes have every documented column
+        assert TABLES["stale"](tmp_path / "results") == {}
     if page.name == "tutorial.md":  # what README and pages state of the studies that the tutorial runs
         assert STATEMENTS["unstated"](tmp_path / "results") == []
     if page.name == "own_data.md":

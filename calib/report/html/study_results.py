@@ -18,7 +18,6 @@ from calib.report.tables import (
     Folder,
     Kind,
     has_column,
-    key_of,
     kind_of,
     read_results,
     read_stages,
@@ -173,7 +172,6 @@ class StudyResults:
         if not self.tests or TEST in text or not has_column(path, TEST):
             table = read_results(path, text, may_be_empty=True, **columns)
         else:
-            columns["unique"] = (TEST, *key_of(name)) if key_of(name) else ()
             table = read_results(path, [*text, TEST], may_be_empty=True, **columns)
             if name == "assumptions":
                 table = table.drop(columns=TEST).drop_duplicates(ignore_index=True)
