@@ -243,6 +243,7 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "imports/fil.py": "_NODE _DIRECTIONS _MODE _DISPLACEMENT _MOTIONS",
     "imports/matrices.py": "_PENALTY",
     "imports/nastran.py": "_COMPLEX _SQUARE _SYMMETRIC",
+    "imports/op2.py": "_EIGENVECTORS _GRID _REAL _REAL_MODES _RECTANGULAR _WORDS",
     "imports/op4.py": "_HEADS _TYPES",
     "structure/unit_system.py": "_TOKENS",
     "structure/effects/attach.py": "GRAVITY",

@@ -133,8 +133,8 @@ def import_matrices(
 ) -> Imported:
     """Take the matrices of a finite-element code over as a model, and write a study of it.
 
-    Read are CalculiX (.sti, with .mas, .dof and .inp beside it), Abaqus (.mtx), Nastran (DMIG punch, OUTPUT4), ANSYS
-    (Harwell-Boeing with mapping), Matrix Market, MATLAB's .mat and .npz.
+    Read are CalculiX (.sti, with .mas, .dof and .inp beside it), Abaqus (.mtx), Nastran (DMIG punch, OUTPUT4, .op2),
+    ANSYS (Harwell-Boeing with mapping), Matrix Market, MATLAB's .mat and .npz.
 
     Parameters
     ----------

@@ -16,7 +16,9 @@ from calib.results.results import RESULTS
 def import_matrices(
     files: Annotated[
         list[Path],
-        typer.Argument(metavar="FILES...", help=".sti, .mtx, DMIG .pch, .op4, Harwell-Boeing, .mat, .npz; or a study."),
+        typer.Argument(
+            metavar="FILES...", help=".sti, .mtx, DMIG .pch, .op2, .op4, Harwell-Boeing, .mat, .npz; a study."
+        ),
     ],
     to: Annotated[Path, typer.Option("--to", metavar="FOLDER", callback=possible, help="New folder of the study.")],
     dofs: Annotated[

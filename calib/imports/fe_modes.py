@@ -12,6 +12,7 @@ from calib.errors.errors import InputError
 from calib.imports.coordinates import read_coordinates
 from calib.imports.fil import read_fil
 from calib.imports.frd import read_frd
+from calib.imports.op2 import read_op2
 from calib.imports.printed import read_printed
 from calib.measurement.files.csv_format import is_rigid
 from calib.measurement.files.read import UFF_SUFFIXES, read_modes
@@ -56,8 +57,8 @@ def read_fe_modes(
     Parameters
     ----------
     file : Path
-        Universal file (datasets 55, 2414), modes table (.csv), CalculiX .frd, Abaqus .fil as text, or what a code has
-        printed: Nastran .f06, Abaqus and CalculiX .dat, ANSYS PRNSOL (.txt, .lis, .out).
+        Universal file (datasets 55, 2414), modes table (.csv), CalculiX .frd, Abaqus .fil as text, Nastran .op2,
+        or what a code has printed: Nastran .f06, Abaqus and CalculiX .dat, ANSYS PRNSOL (.txt, .lis, .out).
     shapes : Path, optional
         Shapes table beside a modes table.
     coordinates : Path, optional
@@ -82,12 +83,7 @@ def read_fe_modes(
             length_unit=length_unit if suffix in UFF_SUFFIXES else None,
         )  # fmt: skip
         return found if coordinates is None or is_table else _placed(found, read_coordinates(coordinates, metres))
-    if suffix == ".op2":
-        raise InputError(
-            "binary results of Nastran are not read", place=file,
-            remedy="print them: DISPLACEMENT(PRINT) = ALL writes the .f06, which is read",
-        )  # fmt: skip
-    reader = {".frd": read_frd, ".fil": read_fil}.get(suffix, read_printed)
+    reader = {".frd": read_frd, ".fil": read_fil, ".op2": read_op2}.get(suffix, read_printed)
     freq, motions, points, notes = reader(file)
     read = ReadModes(freq, motions, {n: _scaled(p, metres) for n, p in points.items()}, notes)
     if coordinates is not None:

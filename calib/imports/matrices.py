@@ -19,6 +19,7 @@ from calib.imports.dof_file import read_dofs, table_of
 from calib.imports.elements import element_edges, held_motions
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.nastran import is_dmig, read_dmig
+from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
 from calib.imports.stored import Stored, counted_from_one, named, numbers_of, spread
 from calib.imports.systems import analysis_set, axes_of, is_bulk, turned_into_global
@@ -77,8 +78,8 @@ def read_matrices(
     Parameters
     ----------
     files : sequence of Path
-        CalculiX .sti and .mas, Abaqus .mtx, Nastran DMIG or OUTPUT4, Harwell-Boeing, Matrix Market, .mat and .npz;
-        decks among them give coordinates, tables and mappings the names of rows.
+        CalculiX .sti and .mas, Abaqus .mtx, Nastran DMIG, OUTPUT4 or OUTPUT2, Harwell-Boeing, Matrix Market, .mat and
+        .npz; decks among them give coordinates, tables and mappings the names of rows.
     dofs : Path, optional
         Names of the rows where no file has them; see `calib.imports.dof_file.read_dofs`.
     coordinates : Path, optional
@@ -172,6 +173,8 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]
     held = read_container(file, raw)
     if held is not None:
         return held
+    if is_op2(raw):
+        return read_op2_matrices(file, raw)
     if is_op4(raw):
         return read_op4(file, raw)
     if is_harwell_boeing(lines):

@@ -23,7 +23,7 @@ _TYPES = (1, 2, 3, 4)
 
 
 @dataclass
-class _Matrix:
+class StoredStrings:
     """Head of a matrix, and its entries as strings of consecutive rows."""
 
     name: str
@@ -33,6 +33,7 @@ class _Matrix:
     strings: list[tuple[int, int, np.ndarray]]
 
     def stored(self, file: Path) -> Stored:
+        """The matrix, without names of its rows; InputError for one that is rectangular, complex or damaged."""
         place = f"{file}, matrix {self.name}"
         if self.n_rows != self.n_columns:
             raise InputError(f"it has {self.n_rows} rows and {self.n_columns} columns", place=place,
@@ -121,7 +122,7 @@ def _strings(
 # -- text ----------------------------------------------------------------------------------------------------------
 
 
-def _text(lines: list[str]) -> Iterator[_Matrix]:
+def _text(lines: list[str]) -> Iterator[StoredStrings]:
     at = 0
     while at < len(lines) and lines[at].strip():
         head = lines[at].rstrip()
@@ -133,7 +134,7 @@ def _text(lines: list[str]) -> Iterator[_Matrix]:
         if kind not in _TYPES:
             raise ValueError(f"{name} is of the unknown type {kind}")
         count, width = (int(form[1]), int(form[2])) if form else (5, 16)
-        out = _Matrix(name, abs(n_rows), n_columns, kind, [])
+        out = StoredStrings(name, abs(n_rows), n_columns, kind, [])
         reader = _Lines(lines, at + 1, count, width)
         while True:
             column, first, words = reader.head()
@@ -216,7 +217,7 @@ class _Words:
         return out
 
 
-def _binary(raw: bytes) -> Iterator[_Matrix]:
+def _binary(raw: bytes) -> Iterator[StoredStrings]:
     order = _order(raw) or "<"
     records = _records(raw, order)
     for head in records:
@@ -228,7 +229,7 @@ def _binary(raw: bytes) -> Iterator[_Matrix]:
         name = (name[:4] + name[8:12] if word == 8 and not name[4:8].strip() else name).strip()
         if kind not in _TYPES:
             raise ValueError(f"{name} is of the unknown type {kind}")
-        out = _Matrix(name, abs(n_rows), n_columns, kind, [])
+        out = StoredStrings(name, abs(n_rows), n_columns, kind, [])
         per_value = 2 if kind in (2, 4) and word == 4 else 1
         for record in records:
             taken = _Words(record, order, word, kind)

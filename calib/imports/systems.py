@@ -13,6 +13,9 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.imports.coordinates import bulk_entries, real
 
+Systems = dict[str, tuple[str, np.ndarray]]
+"""Systems of CORD2R by their number: that of the reference, and the points A, B and C, (3, 3)."""
+
 
 def axes_of(file: Path, text: str) -> dict[int, np.ndarray]:
     """Axes of the nodes whose motions are not in the basic system, (3, 3) each: its columns are their x, y and z.
@@ -24,7 +27,7 @@ def axes_of(file: Path, text: str) -> dict[int, np.ndarray]:
     InputError
         For a node that moves in a cylindrical or spherical system, or one that is not in the file.
     """
-    systems: dict[str, tuple[str, np.ndarray]] = {}
+    systems: Systems = {}
     others: dict[str, str] = {}
     nodes: dict[int, str] = {}
     for name, fields in bulk_entries(text):
@@ -34,26 +37,46 @@ def axes_of(file: Path, text: str) -> dict[int, np.ndarray]:
             others[fields[0]] = name
         elif name == "GRID" and len(fields) > 5 and fields[5] not in ("", "0", "-1"):
             nodes[int(fields[0])] = fields[5]
+    axes, unknown = axes_in(systems, nodes)
+    for node, number in unknown.items():
+        what = f"{others[number]} {number}" if number in others else f"system {number}"
+        raise InputError(f"node {node} moves in {what}", place=file,
+                         remedy="give its CORD2R in the same file, or write the matrices in global axes")  # fmt: skip
+    return axes
+
+
+def axes_in(systems: Systems, nodes: Mapping[int, str]) -> tuple[dict[int, np.ndarray], dict[int, str]]:
+    """Axes (3, 3) of nodes that move in systems of CORD2R, and, of other nodes, the system that is not known.
+
+    Parameters
+    ----------
+    systems : mapping from number to (number of the reference, (3, 3) points A, B and C)
+    nodes : mapping from node to the number of its system
+        Nodes of system 0 are in none of the results.
+    """
     turned: dict[str, tuple[np.ndarray, np.ndarray]] = {"0": (np.zeros(3), np.eye(3))}
 
-    def frame(number: str, node: int, depth: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        if number in turned:
-            return turned[number]
-        if number not in systems or depth > len(systems):
-            what = f"{others[number]} {number}" if number in others else f"system {number}"
-            raise InputError(f"node {node} moves in {what}", place=file,
-                             remedy="give its CORD2R in the same file, or write the matrices in global axes"
-                             )  # fmt: skip
-        reference, points = systems[number]
-        origin, axes = frame(reference, node, depth + 1)
-        a, b, c = points
-        z = (b - a) / np.linalg.norm(b - a)
-        y = np.cross(z, c - a)
-        y /= np.linalg.norm(y)
-        turned[number] = origin + axes @ a, axes @ np.column_stack([np.cross(y, z), y, z])
+    def frame(number: str, depth: int = 0) -> tuple[np.ndarray, np.ndarray]:
+        if number not in turned:
+            if number not in systems or depth > len(systems):
+                raise LookupError(number)
+            reference, (a, b, c) = systems[number]
+            origin, axes = frame(reference, depth + 1)
+            z = (b - a) / np.linalg.norm(b - a)
+            y = np.cross(z, c - a)
+            y /= np.linalg.norm(y)
+            turned[number] = origin + axes @ a, axes @ np.column_stack([np.cross(y, z), y, z])
         return turned[number]
 
-    return {node: frame(number, node)[1] for node, number in nodes.items()}
+    found: dict[int, np.ndarray] = {}
+    unknown: dict[int, str] = {}
+    for node, number in nodes.items():
+        try:
+            if number != "0":
+                found[node] = frame(number)[1]
+        except LookupError as fault:
+            unknown[node] = str(fault.args[0])
+    return found, unknown
 
 
 def turned_into_global(
