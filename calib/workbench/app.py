@@ -31,7 +31,7 @@ from calib.workbench.measurement import measurement
 from calib.workbench.missing import missing, versions
 from calib.workbench.overview import listed, overview
 from calib.workbench.parameters import parameters
-from calib.workbench.runs import OPTIONS, Commands, adding
+from calib.workbench.runs import KINDS, OPTIONS, Commands, adding, new_study
 from calib.workbench.search import LedgerReader
 from calib.workbench.search_view import search_view
 from calib.workbench.studies import KnownStudy, Studies, stamp_of
@@ -91,6 +91,7 @@ class Workbench:
             routes=[
                 Route("/", self._file), Route("/page/{name}", self._file),
                 Route("/studies", partial(self._read, self._all)),
+                Route("/new", partial(self._change, self._new), methods=["POST"]),
                 Route("/study/{key}/figure/{figure}", self._figure), Route("/study/{key}/report", self._report),
                 Route("/study/{key}/designs", self._designs),
                 *asked, *changed, WebSocketRoute("/live", self.live.serve),
@@ -129,7 +130,8 @@ class Workbench:
             except InputError as fault:
                 found.append({"key": one.key, "name": one.name, "path": str(one.file.parent), "fault": fault.sentence})
         quick = [verb for verb, options in OPTIONS.items() if "quick" in options]
-        return {"studies": found, "single": self.studies.is_study, "quick": quick}
+        kinds = {} if self.studies.is_study else KINDS
+        return {"studies": found, "single": self.studies.is_study, "quick": quick, "kinds": kinds}
 
     def _asked(self, request: Request) -> tuple[KnownStudy, str, str]:
         study, asked = self._study(request), request.query_params
@@ -197,6 +199,9 @@ class Workbench:
         return known.ask(given)
 
     # -- changes -------------------------------------------------------------------------------------------------------
+
+    def _new(self, request: Request, given: Mapping[str, Any]) -> Any:
+        return {"key": new_study(self.studies, given.get("name"), given.get("kind")).key}
 
     def _run(self, request: Request, given: Mapping[str, Any]) -> Any:
         study, options = self._study(request), given.get("options", {})

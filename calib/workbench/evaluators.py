@@ -15,10 +15,10 @@ from typing import Any
 
 from calib.errors.errors import InputError
 
-_MOST = 2
+_MOST = 4
 """Studies whose models are kept at a time."""
-_PATIENCE = 60.0
-"""Seconds in which an evaluation must end."""
+_PATIENCE, _AT_FULL_ORDER = 60.0, 600.0
+"""Seconds in which an evaluation must end: at a slider, and where a solution at full order was asked for."""
 _PREPARING, _READY = 20.0, 600.0
 """Seconds after which a process that nobody asks ends: while it trains a basis, and when it is ready."""
 _LOOKS = 5.0
@@ -60,6 +60,7 @@ class Evaluator:
 
     def ask(self, content: Mapping[str, Any]) -> dict[str, Any]:
         """What the model answers; InputError where it cannot be evaluated there, or not in time."""
+        patience = _AT_FULL_ORDER if content.get("full") else _PATIENCE
         line = json.dumps(content, separators=(",", ":")).encode() + b"\n"
         with self._lock:
             self.touched = time.monotonic()
@@ -67,12 +68,15 @@ class Evaluator:
                 assert self._process.stdin is not None
                 self._process.stdin.write(line)
                 self._process.stdin.flush()
-                found = self._answers.get(timeout=_PATIENCE)
+                found = self._answers.get(timeout=patience)
             except OSError:
                 raise InputError("the process with the model has ended", place="what if") from None
             except Empty:
                 self.end()
-                raise InputError(f"no answer in {_PATIENCE:.0f} s", place="what if") from None
+                remedy = "compare and calibrate wait for a model as long as it takes; here it is read again"
+                raise InputError(
+                    f"the model took longer than {patience:.0f} s", place="what if", remedy=remedy
+                ) from None
         if "fault" in found:
             raise InputError(str(found["fault"]), place="what if")
         return dict(found["found"])

@@ -19,6 +19,12 @@ _ROWS = (
     ("explain", "What the model lacks", "possible causes, local changes, measurement errors"),
 )
 """The analyses in their order, in words."""
+_FURTHER = (
+    ("pareto", "Pareto front", "designs that lower one of two groups of errors only by raising the other", "calibrate"),
+    ("refine", "Better metamodels", "new runs where metamodels know least near what was measured", "sensitivity"),
+    ("robustness", "Robustness", "how far responses vary with what is known of the fitted parameters", "calibrate"),
+)
+"""Analyses of the designs, in words, each with the one that it needs."""
 _OF_TEST = ("compare", "sensitivity")
 """Analyses of each test by itself."""
 _FIGURES = ("comparison", "responses_after", "responses_before", "frf_overlays")
@@ -33,7 +39,8 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
     dict
         ``title, synthetic, summary`` (as the report's head says it), ``analyses`` (one each, with ``state``: ``done``,
         ``stale`` or ``never``), ``next`` (a command and the sentence that names it), ``notes``, ``parts``, ``tests``,
-        ``kind`` of the data, ``figure``.
+        ``kind`` of the data, ``figure``, and ``further``: analyses of the designs, of each the one that it needs
+        (``after``) and its ``figure``.
     """
     results = studies.results(study, part, test)
     rows = [_analysis(results, *row) for row in _ROWS if row[0] != "explain" or _has_library(results)]
@@ -45,7 +52,7 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
                     "origin": summary.origin} if ran else None,
         "analyses": rows, "next": _next(results, rows), "notes": _notes(results), "parts": study.parts,
         "tests": _tests(study), "kind": results.kind if ran else "", "figure": _figure(results) if ran else None,
-        "report": studies.report(study, part) is not None,
+        "report": studies.report(study, part) is not None, "further": _further(results),
     }  # fmt: skip
 
 
@@ -88,6 +95,17 @@ def _analysis(results: StudyResults, verb: str, title: str, what: str) -> dict[s
         "then": answers[0][1].get("then", "") if answers else "",
         "command": answers[0][1].get("command", "") if answers else "",
     }  # fmt: skip
+
+
+def _further(results: StudyResults) -> list[dict[str, Any]]:
+    found = []
+    for verb, title, what, after in _FURTHER:
+        if verb == "refine" and results.tests:  # it chooses runs of a single test
+            continue
+        drawing = results.figures.plan.get(verb) if results.record else None
+        drawn = {"figure": "", "caption": ""} if drawing is None else {"figure": verb, "caption": drawing.caption}
+        found.append({**_analysis(results, verb, title, what), "after": after, **drawn})
+    return found
 
 
 def _next(results: StudyResults, rows: list[dict[str, Any]]) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -17,14 +18,25 @@ from typing import IO, Any
 
 from calib.errors.errors import InputError
 from calib.results.running import notes_in
-from calib.workbench.studies import KnownStudy
+from calib.workbench.studies import KnownStudy, Studies, is_within
 
 OPTIONS: Mapping[str, tuple[str, ...]] = {
     "compare": (), "sensitivity": ("quick", "workers", "method"), "explain": ("workers",),
     "calibrate": ("quick", "workers", "case", "method"), "intervals": ("quick", "workers"),
     "run": ("quick", "workers"), "report": (), "propose": (), "again": ("workers",),
+    "pareto": ("quick", "workers"), "refine": ("quick", "workers"), "robustness": ("quick", "workers"),
 }  # fmt: skip
 """Commands that the page may start, with the options that it may give."""
+KINDS: Mapping[str, str] = {
+    "": "finite elements, assembled by a model in Python", "matrices": "mass and stiffness matrices",
+    "modes": "a function or solver that returns modes", "function": "a function that returns numbers",
+    "table": "runs that are done, in a table",
+}  # fmt: skip
+"""Kinds of example that `calib new` writes, by its option, and what their model is."""
+_NAME = re.compile(r"[^\W_][\w -]{0,79}")
+"""Names of new folders: no part of a path, and no option of a command."""
+_WRITTEN = 60.0
+"""Seconds in which an example must have been written."""
 _CALIB = (sys.executable, "-m", "calib")
 if sys.platform == "win32":
     _APART: Mapping[str, Any] = {"creationflags": subprocess.CREATE_NEW_PROCESS_GROUP}
@@ -86,8 +98,7 @@ class StartedCommand:
     @property
     def complaint(self) -> str:
         """The sentence with which it failed; empty without one."""
-        lines = [line for line in self.tail.splitlines() if line.startswith(("Error: ", "calib: "))]
-        return lines[-1].partition(": ")[2] if lines else ""
+        return _complaint(self.tail)
 
 
 class Commands:
@@ -164,6 +175,50 @@ class Commands:
         found = [_told(one, notes.get(one.process.pid) if one.code is None else None) for one in own]
         found += [_noted(note) for pid, note in notes.items() if pid not in mine]
         return sorted(found, key=lambda one: float(one["began"]))
+
+
+def new_study(studies: Studies, name: Any, kind: Any) -> KnownStudy:
+    """Write an example with `calib new` into a new folder directly below that of the page.
+
+    Parameters
+    ----------
+    studies : Studies
+    name : str
+        Of the folder.
+    kind : str
+        One of `KINDS`.
+
+    Raises
+    ------
+    InputError
+        Where the page shows a single study, for a name with a path in it, and for whatever the command refuses.
+    """
+    if studies.is_study or not isinstance(kind, str) or kind not in KINDS:
+        raise InputError("this page writes no such study", place="calib new")
+    if not isinstance(name, str) or not _NAME.fullmatch(name):
+        remedy = "use letters, digits, spaces, - and _, a letter or digit first"
+        raise InputError(f"{name!r:.40} is no name of a folder", place="calib new", remedy=remedy)
+    folder = studies.path / name
+    if not is_within(folder, studies.path) or folder.resolve() == studies.root.resolve():
+        raise InputError(f"{name!r} is not free for a study", place="calib new", remedy="choose another name")
+    command = [*_CALIB, "new", str(folder), *([f"--{kind}"] if kind else [])]
+    try:
+        ended = subprocess.run(
+            command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+            timeout=_WRITTEN, check=False,
+        )  # fmt: skip
+    except subprocess.TimeoutExpired:
+        raise InputError(f"it was not written in {_WRITTEN:.0f} s", place="calib new") from None
+    found = next((one for one in studies.all().values() if one.file.parent.resolve() == folder.resolve()), None)
+    if ended.returncode or found is None:
+        raise InputError(_complaint(ended.stdout.decode("utf-8", "replace")) or "it was not written", place="calib new")
+    return found
+
+
+def _complaint(output: str) -> str:
+    """The sentence with which a command failed; empty without one."""
+    lines = [line for line in output.splitlines() if line.startswith(("Error: ", "calib: "))]
+    return lines[-1].partition(": ")[2] if lines else ""
 
 
 def _told(one: StartedCommand, note: Mapping[str, Any] | None) -> dict[str, Any]:

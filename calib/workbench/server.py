@@ -39,7 +39,7 @@ def application(path: Path, root: Path, token: str, port: int) -> ASGIApp:
     Raises
     ------
     InputError
-        Without the packages that it needs, or where there is no study.
+        Without the packages that it needs, or where there is no such study or folder.
     """
     try:
         from calib.workbench.app import Workbench
@@ -51,11 +51,10 @@ def application(path: Path, root: Path, token: str, port: int) -> ASGIApp:
     from calib.workbench.studies import Studies
 
     studies = Studies(path, root)
-    if not path.exists() or not studies.all():
+    if not studies.is_study and not path.is_dir():
         raise InputError(
-            "there is no study.toml in it or below it" if path.exists() else "there is no such folder", place=path,
-            remedy="name a study, or write an example with: calib new FOLDER",
-        )  # fmt: skip
+            "there is no such folder", place=path, remedy="name a study, or write an example with: calib new FOLDER"
+        )
     return Guard(Workbench(studies).app, token, port)
 
 

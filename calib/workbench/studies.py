@@ -138,7 +138,7 @@ class Studies:
         found[key] = one = KnownStudy(key, file, root)
         inside = sorted({*one.home.glob(f"*/{_FILE}"), *one.home.glob(f"*/*/{_FILE}")})
         for version in inside:
-            if _is_within(version, one.home):
+            if is_within(version, one.home):
                 self._add(found, version, root_for(version, self.root))
 
     def one(self, key: str) -> KnownStudy | None:
@@ -198,17 +198,18 @@ def _below(folder: Path, root: Path) -> Iterator[Path]:
         depth = len(own.relative_to(start).parts)
         results = own == root.resolve() or LOG in files
         folders[:] = sorted(f for f in folders if not f.startswith((".", "_")) and depth < _DEEPEST and not results)
-        if _FILE in files and not results and _is_within(own / _FILE, start):
+        if _FILE in files and not results and is_within(own / _FILE, start):
             yield folder / own.relative_to(start) / _FILE
 
 
-def _is_within(path: Path, folder: Path) -> bool:
+def is_within(path: Path, folder: Path) -> bool:
+    """Whether a path, with its links followed, lies in a folder."""
     return path.resolve().is_relative_to(folder.resolve())
 
 
 def _leading_out(folder: Path) -> frozenset[str]:
     """Names of links in a folder of results that lead out of it."""
     try:
-        return frozenset(p.name for p in folder.iterdir() if p.is_symlink() and not _is_within(p, folder))
+        return frozenset(p.name for p in folder.iterdir() if p.is_symlink() and not is_within(p, folder))
     except OSError:
         return frozenset()

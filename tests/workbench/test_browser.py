@@ -20,6 +20,12 @@ pytestmark = [pytest.mark.slow, pytest.mark.skipif(BROWSER is None, reason="ther
 ROOT = Path(__file__).resolve().parents[2]
 MAST = module_of(ROOT / "tests/template/mast_effects.py")
 OPTIONS = ["--no-sandbox", "--disable-quic", "--disable-background-networking", "--enable-unsafe-swiftshader"]
+FITS = "document.getElementById('view').scrollWidth <= document.getElementById('view').clientWidth"
+DRAWN = {
+    "Overview": ".found", "Search": ".panel h2", "Missing physics": ".panel h2", "Correlation": ".shapes[data-drawn]",
+    "What if": "#rows tbody tr", "Designs": "#further h2", "Measurement": "#space canvas", "Parameters": "#parameter",
+}  # fmt: skip
+"""Each view, and what is there once it is drawn, whatever was run."""
 PATIENT = 120_000
 """Milliseconds for what another process computes."""
 
@@ -102,21 +108,10 @@ def test_views_are_reached_by_the_keyboard(tab, explained):
 def test_nothing_is_wider_than_the_window(tab, explained, wide, colours):
     page = tab(explained, wide, 900, colours)
     page.locator("#answer").wait_for()
-    for view in (
-        "Overview",
-        "Search",
-        "Missing physics",
-        "Correlation",
-        "What if",
-        "Designs",
-        "Measurement",
-        "Parameters",
-    ):
+    for view in DRAWN:
         page.get_by_role("link", name=view, exact=True).click()
         page.wait_for_timeout(1500)
-        assert page.evaluate(
-            "document.getElementById('view').scrollWidth <= document.getElementById('view').clientWidth"
-        ), view
+        assert page.evaluate(FITS), view
     assert page.evaluate("document.documentElement.dataset.theme") == colours
 
 
@@ -266,6 +261,48 @@ def test_a_search_is_started_stopped_and_resumed(tab, tmp_path):
         reached(page, lambda: int(generation.inner_text()) > stopped + 2)
         page.get_by_role("button", name="Stop").first.click()
         page.get_by_role("button", name="Resume").wait_for()
+        page.close()
+
+
+def test_two_studies_stand_beside_each_other_in_every_view(tab, tmp_path, no_drawing):
+    with contextlib.chdir(tmp_path), no_drawing(), contextlib.redirect_stdout(io.StringIO()):
+        for name in ("mast", "twin"):
+            write_example(tmp_path / name)
+            assert cli.execute(["compare", name]) == 0
+    with served(tmp_path, ".") as address:
+        page = tab(address, wide=1280)
+        page.locator("#side").get_by_role("link", name="mast", exact=True).click()
+        page.get_by_label("Beside").select_option(label="twin")
+        for view, drawn in DRAWN.items():
+            page.get_by_role("link", name=view, exact=True).click()
+            panes = page.locator(".pane")
+            for k, name in enumerate(("mast", "twin")):
+                panes.nth(k).locator(drawn).first.wait_for()
+                assert panes.nth(k).locator("header h2").inner_text() == name, view
+            assert panes.count() == 2 and page.evaluate(FITS), view
+        page.get_by_role("link", name="Correlation", exact=True).click()
+        panes.nth(1).locator(".cell.paired").nth(2).wait_for()
+        panes.nth(0).locator(".cell.paired").nth(2).click()
+        pressed = [panes.nth(k).locator(".cell[aria-pressed=true]").get_attribute("aria-label") for k in range(2)]
+        assert pressed[0] == pressed[1] and pressed[0].endswith("paired")
+        panes.nth(1).get_by_role("link", name="Show alone").click()
+        page.locator("#pair").wait_for()
+        assert page.locator("#side a.study[aria-current=true]").inner_text() == "twin"
+        page.close()
+
+
+def test_a_new_study_is_written_from_the_page(tab, tmp_path):
+    with served(tmp_path, ".") as address:
+        page = tab(address)
+        form = page.locator("#new")
+        form.get_by_label("name of the new folder").fill("../tower")
+        form.get_by_role("button").click()
+        page.get_by_text("is no name of a folder").wait_for()
+        form.get_by_label("name of the new folder").fill("tower")
+        form.get_by_label("kind of model").select_option("table")
+        form.get_by_role("button").click()
+        page.get_by_text("Nothing has been run yet").wait_for()
+        assert (tmp_path / "tower/runs.csv").is_file() and not (tmp_path.parent / "tower").exists()
         page.close()
 
 

@@ -70,6 +70,8 @@ FOREIGN = {
     "options that are none": ("POST", "study/KEY/run", JSON, b'{"verb": "run", "options": [1]}', 409),
     "an effect that nobody lists": ("POST", "study/KEY/add", JSON, b'{"effects": ["--into"]}', 409),
     "a process that is no command": ("POST", "study/KEY/stop", JSON, b'{"pid": 1}', 404),
+    "a new study above the folder": ("POST", "new", JSON, b'{"name": "../new", "kind": ""}', 409),
+    "a new study by reading": ("GET", "new", {}, None, 405),
     "a process without a number": ("POST", "study/KEY/stop", JSON, b'{"pid": "1"}', 404),
 }  # fmt: skip
 

@@ -14,7 +14,7 @@ from calib.command import cli
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.results.results import Results
-from calib.workbench.overview import _next
+from calib.workbench.overview import _further, _next
 from calib.workbench.studies import Studies
 
 
@@ -25,6 +25,22 @@ def test_a_study_tells_what_was_run_and_what_comes_next(page, key, here):
     assert found["next"]["verb"] == "sensitivity"  # the first command that the comparison names
     record = json.loads((here / "results/mast/record.json").read_text())
     assert record["analyses"]["compare"]["answer"]["found"].replace(" -> ", " → ") == found["summary"]["found"]
+
+
+def test_the_analyses_of_designs_tell_what_they_need_and_what_they_found(page, key, here):
+    further = {one["verb"]: one for one in page.get(f"study/{key}").json()["further"]}
+    assert {verb: one["after"] for verb, one in further.items()} == {
+        "pareto": "calibrate", "refine": "sensitivity", "robustness": "calibrate",
+    }  # fmt: skip
+    assert {one["state"] for one in further.values()} == {"never"} and not further["pareto"]["figure"]
+    home = here / "results/mast"
+    (home / "pareto.csv").write_text("kind,design,first,second,objective,knee,lowest\nfront,1,0.1,0.2,0.3,True,True\n")
+    (home / "pareto_objectives.csv").write_text("name,of,weight\nfrequencies,error,1\nMAC,1 - MAC,1\n")
+    record = json.loads((home / "record.json").read_text())
+    record["analyses"]["pareto"] = {**record["analyses"]["compare"], "answer": {"found": "A front."}}
+    (home / "record.json").write_text(json.dumps(record))
+    own = next(one for one in _further(StudyResults(home, "", True)) if one["verb"] == "pareto")
+    assert (own["figure"], own["caption"], own["found"]) == ("pareto", "frequencies against MAC", "A front.")
 
 
 def test_its_summary_is_that_of_the_report(page, key, here):

@@ -8,10 +8,11 @@ from pathlib import Path
 
 import pytest
 
+from calib.command import example
 from calib.errors.errors import InputError
 from calib.results.running import RunningNote
 from calib.workbench import runs
-from calib.workbench.runs import Commands, adding
+from calib.workbench.runs import KINDS, Commands, adding, new_study
 from calib.workbench.studies import Studies
 
 from .conftest import PORT, TOKEN
@@ -157,10 +158,10 @@ def test_a_failure_is_told_until_later_results_are_written(study, commands, here
     own.start(study, "calibrate", {"quick": True})
     assert ended(own, study)["again"] == {"quick": True}
     note = here / "results/mast/.running-1.json"
-    told = {"pid": 1, "verb": "robustness", "options": {}, "began": time.time(), "told": time.time()}
+    told = {"pid": 1, "verb": "extend", "options": {}, "began": time.time(), "told": time.time()}
     note.write_text(json.dumps(told))
     killed = own.listing(study)[-1]
-    assert (killed["verb"], killed["state"], killed["again"]) == ("robustness", "failed", None)
+    assert (killed["verb"], killed["state"], killed["again"]) == ("extend", "failed", None)
     later = time.time_ns() + 10**9
     os.utime(here / "results/mast/record.json", ns=(later, later))
     assert own.listing(study) == []
@@ -170,3 +171,37 @@ def test_a_further_command_on_another_study_is_not_given_again(study, commands):
     own = commands(REFUSES)
     own.start_all(study, [("calibrate", ("other",))], {"effects": ["guy"], "quick": True})
     assert ended(own, study)["again"] is None  # it would calibrate the study that the page shows
+
+
+@pytest.mark.parametrize(
+    "name", ["", ".", "..", "../new", "a/b", "a\\b", "-x", "--table", ".new", "new.", "a\n", 3, None]
+)
+def test_a_new_study_has_a_plain_name(here, name):
+    with pytest.raises(InputError, match="is no name of a folder"):
+        new_study(Studies(Path("."), Path("results")), name, "")
+
+
+def test_a_new_study_lies_in_the_folder_of_the_page(here, tmp_path):
+    (tmp_path / "outside").mkdir()
+    Path("link").symlink_to(tmp_path / "outside")
+    for name in ("link", "results"):
+        with pytest.raises(InputError, match="is not free"):
+            new_study(Studies(Path("."), Path("results")), name, "table")
+    for studies, kind in ((Studies(Path("mast"), Path("results")), ""), (Studies(Path("."), Path("results")), "x")):
+        with pytest.raises(InputError, match="writes no such study"):
+            new_study(studies, "new", kind)
+    assert not Path("new").exists() and not any((tmp_path / "outside").iterdir())
+
+
+def test_the_page_offers_every_kind_of_example():
+    assert set(KINDS) == {"", *example.KINDS}
+
+
+@pytest.mark.slow  # the command writes it
+def test_a_new_study_is_written_by_the_command_and_what_it_refuses_is_told(here, page_of):
+    page = page_of(Path("."))
+    found = page.post("new", json={"name": "my tower", "kind": "table"}).json()
+    assert Path("my tower/runs.csv").is_file()
+    assert found["key"] in [one["key"] for one in page.get("studies").json()["studies"]]
+    again = page.post("new", json={"name": "mast", "kind": ""})
+    assert again.status_code == 409 and "mast" in again.json()["fault"]

@@ -20,7 +20,7 @@ export class Correlation {
   async look(live) {
     if (!this.known || live?.results !== this.results) {
       const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("correlation"))]);
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.correlation, undoing: found.undo, test: found.test, stated: found.stated });
       this.page.knows(known);
@@ -94,6 +94,17 @@ export class Correlation {
   }
 
   pick(stage, mode, number) {
+    this.choose(stage, mode, number);
+    this.page.picked({ mode });
+  }
+
+  // A mode was picked beside this study.
+  follow({ mode }) {
+    const stage = this.found?.stages.find((one) => one.name === this.stage), pair = stage?.pairs.find((one) => one.mode === mode);
+    if (pair && pair.model_mode !== null) this.choose(stage, mode, pair.model_mode);
+  }
+
+  choose(stage, mode, number) {
     this.picked = [mode, number];
     for (const own of this.body.querySelectorAll(".cell")) {
       own.setAttribute("aria-pressed", String(stage.measured[own.dataset.row].name === mode && stage.model[own.dataset.column].number === number));

@@ -1,7 +1,7 @@
 // Every evaluated design: parallel coordinates, a cloud, correlations and a table, with one selection over all of them.
 import { afterFailure } from "./app.js";
 import { Changes } from "./changes.js";
-import { ask, h, panel, shade } from "./dom.js";
+import { ask, figure, h, panel, shade } from "./dom.js";
 
 const LINES = 3000;  // designs that are drawn over parallel axes, the best first
 const DOTS = 20000;  // in the cloud
@@ -14,7 +14,8 @@ export class Designs {
     this.failed = h("div", {});
     this.body = h("div", { class: "stack", id: "designs" });
     this.changes = new Changes(page, () => page.refresh());
-    place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
+    this.further = h("div", { class: "grid even", id: "further" });
+    place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body, this.further));
   }
 
   close() {
@@ -23,12 +24,25 @@ export class Designs {
 
   async look(live) {
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    if (this.known && live?.results === this.results) return;
-    this.known = await ask(this.page.of(""));
-    if (this.page.view !== this) return;
-    this.results = live?.results ?? null;
-    this.page.knows(this.known);
-    await this.read("");
+    const changed = !this.known || live?.results !== this.results;
+    if (changed) {
+      this.known = await ask(this.page.of(""));
+      if (!this.page.shown) return;
+      this.results = live?.results ?? null;
+      this.page.knows(this.known);
+    }
+    const now = JSON.stringify([this.known.further, this.known.analyses, Boolean(this.page.running)]);
+    if (now !== this.seen) this.further.replaceChildren(...this.known.further.map((one) => this.analysis(one)));
+    this.seen = now;
+    if (changed) await this.read("");
+  }
+
+  // An analysis of the designs: its figure and answer, or what to run for it.
+  analysis(one) {
+    const { page, known } = this, first = known.analyses.find((own) => own.verb === one.after && own.state !== "done"), { verb } = first ?? one;
+    return panel(one.title, one.figure ? figure(page.of(`figure/${one.figure}`), one.figure, one.caption) : null,
+      h("p", { class: one.found ? "" : "soft" }, one.stale || one.found || `Not run: ${one.what}.`), one.then && one.found ? h("p", { class: "soft" }, one.then) : null,
+      h("div", { class: "act" }, page.button(verb, first ? `Run calib ${verb} first` : one.state === "never" ? `Run calib ${verb}` : "Again"), page.quickly()));
   }
 
   // Read on request alone while a search runs: the table of a large ledger takes seconds.
@@ -37,12 +51,12 @@ export class Designs {
     try {
       this.take(await ask(this.page.of("designs", { evaluated })));
     } catch (fault) {
-      if (this.page.view === this) this.empty(fault.message);
+      if (this.page.shown) this.empty(fault.message);
     }
   }
 
   take(found) {
-    if (this.page.view !== this) return;
+    if (!this.page.shown) return;
     this.found = { ...found, cases: found.cases.map((name) => (name === "other" ? "samples and others" : name)), design: numbers(found.design), case: numbers(found.case), status: numbers(found.status) };
     this.columns = found.columns.map((one) => {
       const values = numbers(one.numbers), on = one.log ? Math.log10 : (value) => value;

@@ -18,7 +18,7 @@ export class Measurement {
   async look(live) {
     if (!this.known || live?.results !== this.results) {
       const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("measurement"))]);
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.measurement, undoing: found.undo, test: found.test });
       this.page.knows(known);

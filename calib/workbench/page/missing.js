@@ -18,7 +18,7 @@ export class Missing {
     const all = JSON.stringify(Object.entries(this.page.live.studies).map(([key, one]) => [key, one.results]));
     if (!this.known || live?.results !== this.results) {
       const known = await ask(this.page.of("missing"));
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.results = live?.results ?? null;
       this.known = known;
       this.page.knows(known);
@@ -161,7 +161,7 @@ export class Missing {
       errors(calibrated),
       h("ul", { class: "tree" }, versions.map((one) => h("li", { style: { "padding-left": `${1.4 * depth(one, versions)}rem` } },
         h("a", { href: `#/${one.key}/overview` }, one.name), h("span", { class: "soft" }, ` ${one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"}${one.fault ? `, cannot be read: ${one.fault}` : one.errors.length ? "" : ", not calibrated"}`),
-        one.key === page.key ? h("span", { class: "chip" }, "shown") : null)))));
+        " ", one.key === page.key ? h("span", { class: "chip" }, "shown") : h("a", { href: page.address("overview", one.key) }, "show beside"))))));
   }
 
   empty() {

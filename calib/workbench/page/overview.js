@@ -1,6 +1,6 @@
 // The state of a study: what was run, what was found, and the next command as a button.
 import { afterFailure } from "./app.js";
-import { ask, figure, h, panel, when } from "./dom.js";
+import { ask, change, figure, h, panel, when } from "./dom.js";
 
 const STATES = { done: ["●", "good", "done"], stale: ["◐", "warn", "out of date"], never: ["○", "soft", "not run"], running: ["▶", "", "running"] };
 
@@ -12,7 +12,7 @@ export class Overview {
   async look(live) {
     if (live && live.results === this.results && this.known) return this.draw(this.known);
     const known = await ask(this.page.of(""));
-    if (this.page.view !== this) return;
+    if (!this.page.shown) return;
     this.results = live?.results ?? null;
     this.known = known;
     this.page.knows(known);
@@ -81,7 +81,30 @@ export class Overview {
 
 export class StudyList {
   constructor(page, place) {
-    Object.assign(this, { page, place });
+    Object.assign(this, { page, place, rows: h("div", {}) });
+    place.replaceChildren(h("div", { class: "stack" }, this.rows, Object.keys(page.kinds).length ? this.form() : ""));
+  }
+
+  // Writes a new study with `calib new` in the folder of the page, and opens it.
+  form() {
+    const { page } = this, refused = h("p", { class: "bad", role: "alert" });
+    const name = h("input", { type: "text", required: true, maxLength: 80, "aria-label": "name of the new folder", placeholder: "name of the folder" });
+    const kind = h("select", { "aria-label": "kind of model" }, Object.entries(page.kinds).map(([option, words]) => h("option", { value: option }, words)));
+    const write = h("button", { type: "submit", class: "main" }, "Write it");
+    return panel("New study", h("p", { class: "soft" }, "An example with its own model and data, to put yours in their place: calib new."),
+      h("form", { class: "act", id: "new", onsubmit: async (event) => {
+        event.preventDefault();
+        write.disabled = true;
+        refused.textContent = "";
+        try {
+          const found = await change("new", { name: name.value, kind: kind.value });
+          await page.begin();
+          page.go({ key: found.key });
+        } catch (fault) {
+          refused.textContent = fault.message;
+        }
+        write.disabled = false;
+      } }, name, kind, write), refused);
   }
 
   draw(studies) {
@@ -94,7 +117,7 @@ export class StudyList {
           h("span", { class: "soft small" }, run ? run.words || `${run.verb} runs` : one.fault ? "cannot be read" : one.stale?.length ? "out of date" : one.done?.length ? one.done.join(", ") : "not run")),
         h("p", { class: "soft clip" }, one.fault ?? (one.found || one.path)));
     };
-    this.place.replaceChildren(panel("Studies", studies.map(row)));
+    this.rows.replaceChildren(panel("Studies", studies.length ? studies.map(row) : h("p", { class: "soft" }, "There is no study in this folder yet.")));
   }
 
   runs() {

@@ -17,7 +17,7 @@ export class Parameters {
   async look(live) {
     if (!this.known || live?.results !== this.results) {
       const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("parameters"))]);
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.parameters });
       this.page.knows(known);
@@ -36,7 +36,7 @@ export class Parameters {
     this.space = found.layers.length ? viewer({ ...found.scene, stages: [], layers: found.layers }) : null;
     const head = ["parameter", "limits, prior and fitted value", "nominal", fitted ? "fitted" : "prior sd", fitted ? "identified" : "selected"];
     this.rows = h("tbody", {}, found.rows.map((one) => h("tr", { class: "pick", tabIndex: 0, "data-name": one.name, "aria-selected": String(one.name === this.picked),
-      onclick: () => this.pick(one.name), onkeydown: (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); this.pick(one.name); } } },
+      onclick: () => this.choose(one.name), onkeydown: (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); this.choose(one.name); } } },
     h("th", { scope: "row" }, one.name), h("td", { class: "scale" }, scale(one)), h("td", {}, one.nominal_words), h("td", {}, fitted ? one.value_words : one.prior_words), h("td", {}, mark(fitted ? one.identified : one.selected)))));
     this.body.replaceChildren(h("div", { class: "grid search" },
       h("div", { class: "stack" },
@@ -47,12 +47,28 @@ export class Parameters {
           fitted ? null : h("div", { class: "act" }, page.button("calibrate", "Calibrate", "main"), page.quickly())),
         found.figures.slice(0, 1).map((name) => this.drawn(name))),
       h("div", { class: "stack" }, this.detail, this.space ? h("section", { class: "panel", id: "space" }, h("h2", {}, "Where it acts"), this.space) : null)),
-    h("div", { class: "grid even" }, found.figures.slice(1).map((name) => this.drawn(name))));
+    h("div", { class: "grid even" }, found.figures.slice(1).map((name) => this.drawn(name)), this.others(fitted)));
     this.pick(this.picked);
+  }
+
+  // What else can be known of the parameters, with the command for it.
+  others(fitted) {
+    return this.known.analyses.filter((one) => one.state !== "done" && (one.verb === "sensitivity" || (one.verb === "intervals" && fitted))).map((one) =>
+      panel(one.title, h("p", { class: "soft" }, one.stale || `Not run: ${one.what}.`), h("div", { class: "act" }, this.page.button(one.verb, `Run calib ${one.verb}`), this.page.quickly())));
   }
 
   drawn(name) {
     return panel(WORDS[name], figure(this.page.of(`figure/${name}`), name, WORDS[name]));
+  }
+
+  choose(name) {
+    this.pick(name);
+    this.page.picked({ parameter: name });
+  }
+
+  // A parameter was picked beside this study.
+  follow({ parameter }) {
+    if (this.found?.rows.some((one) => one.name === parameter)) this.pick(parameter);
   }
 
   pick(name) {

@@ -31,7 +31,7 @@ export class Search {
     if (!live || live.search !== this.stamp || !this.found) {
       this.stamp = live?.search ?? null;
       const found = await ask(this.page.of("search", { since: this.last }));
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.take(found);
     }
     this.draw();

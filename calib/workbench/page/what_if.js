@@ -27,12 +27,12 @@ export class WhatIf {
     clearTimeout(this.waiting);
     if (!this.known || live?.results !== this.results) {
       this.known = await ask(this.page.of(""));
-      if (this.page.view !== this) return;
+      if (!this.page.shown) return;
       this.results = live?.results ?? null;
       this.page.knows(this.known);
     }
     const state = await ask(this.page.of("what-if"));
-    if (this.page.view !== this) return;
+    if (!this.page.shown) return;
     this.failed.replaceChildren(afterFailure(this.page) ?? "");
     this.test = state.test;
     if (!state.ready) { this.prepare(state); return; }
@@ -46,7 +46,7 @@ export class WhatIf {
     this.seen = now;
     this.ready = state.ready;
     this.scene = (await ask(this.page.of("scene"))).scene;
-    if (this.page.view === this) this.fill();
+    if (this.page.shown) this.fill();
   }
 
   prepare(state) {
@@ -129,6 +129,7 @@ export class WhatIf {
       if (effect !== null && !this.on.has(effect)) { this.on.add(effect); this.write(); }
       write();
       this.ask(event.timeStamp);
+      this.page.picked({ parameter: one.name, value: this.values[one.name] });
     });
     this.sliders.set(one.name, write);
     return h("label", { class: "slider", title: title === one.name ? one.words : `${one.name}: ${one.words}` }, h("span", { class: "name" }, title), number, range);
@@ -175,14 +176,14 @@ export class WhatIf {
       const since = this.began;
       try {
         const found = await this.evaluated({});
-        if (this.page.view !== this) break;
+        if (!this.page.shown) break;
         this.base ??= found;
         this.show(found);
         this.trouble.textContent = "";
         this.body.dataset.latency = (performance.now() - since).toFixed(1);  // which the benchmark reads
         this.body.dataset.moves = Number(this.body.dataset.moves ?? 0) + 1;
       } catch (fault) {
-        if (this.page.view !== this) break;
+        if (!this.page.shown) break;
         this.trouble.textContent = fault.message;
         if (!this.again) this.page.refresh();
       }
@@ -228,7 +229,7 @@ export class WhatIf {
     const have = this.known.summary !== null;
     this.offer.replaceChildren(...[
       h("button", { type: "button", id: "start", onclick: () => this.start() }, "Start from here"),
-      found.error === undefined ? null : h("button", { type: "button", onclick: () => this.check() }, "Check at full order"),
+      found.error === undefined ? null : h("button", { type: "button", onclick: (event) => this.check(event.target) }, "Check at full order"),
       on.length && have ? h("button", { type: "button", disabled: Boolean(this.page.running), onclick: () => this.page.add(on) }, `Add ${on.join(" and ")}`) : null,
       this.undo,
     ].filter(Boolean));
@@ -240,7 +241,9 @@ export class WhatIf {
     this.changes.propose({ what: "start", name: "the values of the sliders", value }, this.test);
   }
 
-  async check() {
+  async check(button) {
+    const { textContent: words } = button;
+    Object.assign(button, { disabled: true, textContent: "Solving at full order …" });
     try {
       const full = await this.evaluated({ full: true }), own = new Map(this.found.rows.map((one) => [one.name, one.error]));
       const most = Math.max(...full.rows.map((one) => Math.abs(one.error - own.get(one.name))));
@@ -248,10 +251,22 @@ export class WhatIf {
     } catch (fault) {
       tell(fault.message, "bad");
     }
+    Object.assign(button, { disabled: false, textContent: words });
   }
 
   pick(name) {
     this.mode = name;
+    this.ask(performance.now());
+    this.page.picked({ mode: name });
+  }
+
+  // A parameter was moved, or a mode picked, beside this study.
+  follow({ parameter, value, mode }) {
+    if (!this.ready) return;
+    if (this.found?.rows.some((one) => one.name === mode)) this.mode = mode;
+    else if (this.ready.parameters.some((one) => one.name === parameter)) this.values[parameter] = value;
+    else return;
+    this.write();
     this.ask(performance.now());
   }
 
