@@ -31,7 +31,7 @@ TRUTH = {
 }
 ADOPTED = read_settings(VEHICLE / "study.toml").adopted.parameters
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.whole
 
 
 def posed(study):

@@ -133,6 +133,7 @@ def test_the_right_modes_are_paired_at_the_truth(at_truth):
     np.testing.assert_allclose(freq, [TRUTH["natural_freq"][m] for m in FITTED], rtol=0.006)
 
 
+@pytest.mark.whole
 @pytest.mark.slow
 def test_seats_within_reach_change_no_pair(study):
     """Sixty seat modes are offered as well, at random points of the search, without any window."""
