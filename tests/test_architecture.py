@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pytest
+
 import calib
 from calib.results.version import FALLBACK
 
@@ -106,6 +108,7 @@ def test_forbidden_imports():
         assert not crossed, f"{file} imports {crossed}"
 
 
+@pytest.mark.slow
 def test_the_method_knows_no_structure_and_models_no_study():
     for _, file in parts():
         assert not any(name.split(".")[0] in ("models", "studies") for name in imports(file)), file

@@ -188,6 +188,7 @@ def test_no_workers():
 # -- batches -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_workers_change_nothing(source, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     batch = points(*np.linspace(0.1, 0.9, 13), -1, -2, -5, 0.3)
@@ -227,6 +228,7 @@ def test_an_outcome_is_told_before_the_next_one_is_asked():
         assert {o.status for o in evaluator.evaluate(points(1, 2, 3), told.append)} == {"ok"}
 
 
+@pytest.mark.slow
 def test_workers_inherit_one_thread_and_the_environment_is_restored(source, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     monkeypatch.delenv("BLIS_NUM_THREADS", raising=False)
@@ -304,6 +306,7 @@ def test_faults_of_the_setup_in_a_worker_come_back(source, tmp_path):
     assert gone([int(p) for p in log.read_text().split()])
 
 
+@pytest.mark.slow
 def test_workers_that_cannot_start(source):
     with (
         Evaluator(source(kind="dies at start"), 2) as evaluator,
@@ -312,6 +315,7 @@ def test_workers_that_cannot_start(source):
         evaluator.evaluate(points(1))
 
 
+@pytest.mark.slow
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign):

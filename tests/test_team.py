@@ -221,6 +221,7 @@ def test_what_fails_or_dies_elsewhere_is_done_here(module, meeting):
         assert one(module.dies_elsewhere, (os.getpid(), last), range(3)) == [0, 1, 2]
 
 
+@pytest.mark.slow
 def test_no_process_and_no_file_is_left_after_an_interrupt(module, meeting):
     before = set(multiprocessing.active_children())
     with pytest.raises(KeyboardInterrupt), Team(3) as one:
@@ -314,6 +315,7 @@ def test_tasks_are_shared_while_a_context_lasts():
     assert seen == [2]
 
 
+@pytest.mark.slow
 def test_workers_below_one_are_refused():
     with pytest.raises(InputError, match="0 workers"):
         Team(0)

@@ -57,6 +57,7 @@ def table(study):
     return study.designs().table
 
 
+@pytest.mark.slow
 def test_each_row_is_a_point_with_its_responses_constraint_and_errors(table):
     assert list(table.columns[: len(HEAD)]) == list(HEAD)
     good = table[table["status"] == "ok"]
@@ -98,6 +99,7 @@ def test_a_design_is_taken_as_a_start(study, table):
         study.designs(design=99999)
 
 
+@pytest.mark.slow
 def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_path):
     study.designs(csv=tmp_path / "all.csv", anthill=[("a", "z")], parallel=True, draw=["history", "matrix"])
     written = pd.read_csv(tmp_path / "all.csv")
@@ -112,6 +114,7 @@ def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_p
         study.designs(csv=tmp_path / "no" / "all.csv")
 
 
+@pytest.mark.slow
 def test_the_command_prints_the_same_and_draws(study, table, capsys):
     where = [str(study.path), "--results", str(study.results)]
     assert cli.execute(["designs", *where, "--best", "3", "--anthill", "a", "z"]) == 0

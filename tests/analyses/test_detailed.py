@@ -74,6 +74,7 @@ def explained(parts):
     return calib.Problem(parts["spring"](), test).explain(parts["library"](), progress=False)
 
 
+@pytest.mark.slow
 def test_the_adequate_member_is_told_with_its_magnitude(explained):
     answer = explained.explanation
     assert answer.verdict == "none_explains" and answer.explanation.chosen.names == ("cubic",)
@@ -88,6 +89,7 @@ def test_the_adequate_member_is_told_with_its_magnitude(explained):
     assert explained.lines["Next"].endswith("Or add bow, which is cubic in more detail and explains the data.")
 
 
+@pytest.mark.slow
 def test_the_richer_member_leaves_the_decision_as_it_is(explained, parts):
     bare = tuple(replace(e, richer=None) for e in parts["library"]())
     alone = calib.Problem(parts["spring"](), calib.ResponseTest(measured(parts))).explain(bare, progress=False)
@@ -102,6 +104,7 @@ def test_the_richer_member_leaves_the_decision_as_it_is(explained, parts):
     assert set(found.tables) - set(other.tables) == {"richer", "richer_errors"}
 
 
+@pytest.mark.slow
 def test_the_chain_goes_on_where_a_member_is_not_adequate(parts):
     test = calib.ResponseTest(measured(parts, richest=0.5))
     explained = calib.Problem(parts["spring"](), test).explain(parts["library"](), progress=False)

@@ -39,6 +39,7 @@ def world(mast, tmp_path_factory):
     return measured_mast(mast, tmp_path_factory.mktemp("design"))
 
 
+@pytest.mark.slow
 def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
     """Counts of repeats behind each value belong to the real measurement, not to the imagined one."""
     _, hypotheses, _ = world
@@ -231,6 +232,7 @@ def test_nothing_is_recommended_where_the_model_cannot_be_solved(world, monkeypa
 # -- effects with a grid -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_signature_of_an_effect_with_a_grid_is_taken_at_its_best_point(world):
     """At the point of its grid with the largest score, by difference; for a tiny magnitude that is the derivative."""
     _, hypotheses, fit = world
@@ -253,6 +255,7 @@ def test_the_signature_of_an_effect_with_a_grid_is_taken_at_its_best_point(world
 # -- posterior samples -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_a_posterior_shrunk_to_a_point_predicts_the_same_gain_as_the_fit(world):
     _, hypotheses, fit = world
     one, several = design_of(hypotheses, fit), design_of(hypotheses, fit, samples=4)
@@ -262,6 +265,7 @@ def test_a_posterior_shrunk_to_a_point_predicts_the_same_gain_as_the_fit(world):
     pd.testing.assert_frame_equal(recommend(one), recommend(several), rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_posterior_samples_differ_and_are_reproducible(world):
     _, hypotheses, fit = world
     one, again = (design_of(hypotheses, fit, samples=5, certain=False) for _ in range(2))
@@ -273,6 +277,7 @@ def test_posterior_samples_differ_and_are_reproducible(world):
     assert (table["gain_low"] < table["gain_high"]).any()
 
 
+@pytest.mark.slow
 def test_a_further_mode_outside_the_window_at_some_samples_gains_nothing_there(world):
     """The window ends just above the first of the further modes, which the samples shift by a few per cent."""
     _, hypotheses, fit = world

@@ -53,6 +53,7 @@ def test_other_effects_are_named_too(mast, tmp_path, hidden):
     assert row["magnitude_low"] <= magnitude <= row["magnitude_high"]
 
 
+@pytest.mark.slow
 def test_without_a_missing_effect_none_is_named(bare):
     *_, answer = bare
     assert answer.verdict == "nothing_detectable" and answer.explanation.credible == ()
@@ -60,6 +61,7 @@ def test_without_a_missing_effect_none_is_named(bare):
     assert "Error in units" not in answer.sentence
 
 
+@pytest.mark.slow
 def test_the_mass_hung_on_the_chain_is_named(chain):
     truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
     *_, answer = chain

@@ -35,6 +35,7 @@ def told(mast, edited, tmp_path_factory):
     return results.path, explain(study, results)
 
 
+@pytest.mark.slow
 def test_effect_and_fault_are_told_together(told):
     _, answer = told
     found = answer.explanation

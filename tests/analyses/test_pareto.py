@@ -48,6 +48,7 @@ def found(fit):
     return fit.pareto(objectives=TWO, population=30, generations=40, progress=False)
 
 
+@pytest.mark.slow
 def test_the_front_is_that_of_the_closed_form(found):
     front = found.of.front
     # on the segment between both centres sqrt(y) + sqrt(z) = sqrt(2)
@@ -75,6 +76,7 @@ def test_same_seed_same_table_whoever_evaluates(fit):
     assert not first.table["a"].equals(other.table["a"])
 
 
+@pytest.mark.slow
 def test_an_interrupted_search_resumes_from_the_ledger(tmp_path, fit):
     whole, calls = fit.pareto(objectives=TWO, **SMALL), []
     fitted = bent(tmp_path / "some.sqlite", calls).calibrate(starts=2, progress=False)

@@ -34,6 +34,7 @@ def more(sampled):
     return sampled.refine(15, progress=False)
 
 
+@pytest.mark.slow
 def test_runs_lie_where_the_metamodels_agree_with_the_measurement_and_err(more):
     runs = more.of.runs
     assert list(runs) == ["a", "b", "weight", "y", "z"] and len(runs) == 15 and not more.of.proposed
@@ -47,6 +48,7 @@ def test_runs_lie_where_the_metamodels_agree_with_the_measurement_and_err(more):
     assert len(more.of.prognosis["z"].rows) == 65
 
 
+@pytest.mark.slow
 def test_more_runs_begin_with_the_same_ones(sampled, more):
     fewer = sampled.refine(4, progress=False)
     pd.testing.assert_frame_equal(fewer.of.runs, more.of.runs.head(4))
@@ -54,6 +56,7 @@ def test_more_runs_begin_with_the_same_ones(sampled, more):
     assert not other.of.runs["a"].equals(fewer.of.runs["a"])
 
 
+@pytest.mark.slow
 def test_without_a_measurement_within_reach_runs_are_still_told(capsys):
     found = bumpy(measured=False).sensitivity(samples=40, progress=False).refine(3, progress=False)
     assert len(found.of.runs) == 3 and np.isfinite(found.of.runs["y"]).all()
@@ -102,6 +105,7 @@ responses = "measured.csv"
 """
 
 
+@pytest.mark.slow
 def test_runs_of_a_table_are_proposed_by_the_command(tmp_path, sampled, capsys, no_drawing):
     folder = tmp_path / "table"
     folder.mkdir()

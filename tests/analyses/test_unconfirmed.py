@@ -34,6 +34,7 @@ def contradicted(mast, edited, tmp_path_factory):
     return study, results, explain(study, results)
 
 
+@pytest.mark.slow
 def test_an_effect_that_held_out_data_contradict_is_not_named(contradicted, guyed):
     _, results, answer = contradicted
     assert answer.verdict == "unconfirmed" and guyed[2].verdict == "effect"

@@ -69,6 +69,7 @@ def calibrated(mast, tmp_path, hidden):
     return calib.Study.load(mast.write_study(tmp_path / "mast", hidden), results=tmp_path / "r", progress=False)
 
 
+@pytest.mark.slow
 def test_a_rejected_calibration_gives_intervals_that_know_of_the_misfit(mast, tmp_path):
     study = calibrated(mast, tmp_path, {"guy": 12000.0})
     fit = study.problem.calibrate(starts=1, progress=False)

@@ -42,6 +42,7 @@ def test_a_wrong_frequency_is_indistinguishable_from_the_effect_that_explains_it
     assert found.datum.in_words in answer.sentence and f"measure the {BAD} again" in answer.sentence
 
 
+@pytest.mark.slow
 def test_the_summary_names_the_datum(spoilt):
     _, results, answer = spoilt
     datum = json.loads((results.path / "explanation.json").read_text("utf-8"))["wrong_datum"]

@@ -34,6 +34,7 @@ def rig(no_drawing, tmp_path_factory):
     return study, answers, root
 
 
+@pytest.mark.slow
 def test_a_study_gives_the_results_of_the_command(rig):
     study, (_, sensitivity, calibrated), root = rig
     for name in ("selection.csv", "verdicts.csv", "parameters.csv"):

@@ -44,6 +44,7 @@ def table(ran):
     return lambda name: pd.read_csv(ran[0] / f"results/chain/{name}.csv")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", COLUMNS)
 def test_tables_have_their_columns(table, name):
     assert list(table(name).columns) == COLUMNS[name]

@@ -77,6 +77,7 @@ def test_a_place_is_that_of_a_transducer_there(bogie, name):
         assert (np.abs(true - nominal).max(axis=(0, 2)) > 0).sum() == (3 if name[8:] in ("1y", "4x") else 1)
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_differences(bogie):
     """Beside those of the model and of a channel, in any order."""
     nuisances = (ChannelError("gain", "2x"), *place_nuisances(empty(), SD, bogie))
@@ -104,6 +105,7 @@ def test_stated_places_change_nothing(bogie):
     assert freed.fingerprint != plain.fingerprint and freed.rows == plain.rows
 
 
+@pytest.mark.slow
 def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     """Sensors 4 mm off by simulation: without their places the fit is contradicted, and a stiffness goes wrong."""
     rng = np.random.default_rng(4)
@@ -127,6 +129,7 @@ def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     assert misfit["places"] < 1.3 and misfit["none"] > 5
 
 
+@pytest.mark.slow
 def test_a_basis_serves_displaced_transducers(bogie):
     """It holds the moments of displaced forces: the drive point is as accurate as it is at its stated place."""
     data = empty(std=2e-6)

@@ -50,6 +50,7 @@ def along(model, direction, side):
     return FRFProblem(model, replace(data, **{side: turned})).functions({})
 
 
+@pytest.mark.slow
 def test_parameters_are_named_after_transducers_and_axes(bogie):
     space = FRFProblem(bogie, empty(), EVERY).space
     assert set(AT) == set(space.names) - set(bogie.space.names)
@@ -109,6 +110,7 @@ def test_errors_of_one_sensor_add_up(bogie):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("part", [0.0, 1.0])
 def test_derivatives_are_those_of_differences(bogie, part):
     """At value 0 and away from it, beside those of the model and of a channel, in any order."""
@@ -145,6 +147,7 @@ def test_each_error_makes_another_problem(bogie):
     assert FRFProblem(bogie, empty(), EVERY).fingerprint == FRFProblem(bogie, empty(), EVERY).fingerprint
 
 
+@pytest.mark.slow
 def test_suspects_change_no_target_of_a_basis_but_fitted_errors_do(bogie):
     """A fitted place or direction of a force gives the basis a force more, a suspected one does not."""
     fitted = (EVERY[0], EVERY[4])

@@ -120,6 +120,7 @@ def made():
     return runpy.run_path(str(ROOT / "docs/_ext/made_pages.py"))["PARTS"]
 
 
+@pytest.mark.slow
 def test_every_key_and_every_default_is_listed(made):
     text, whole = made["keys"](), schema()
     for section in (whole, *whole["$defs"].values()):

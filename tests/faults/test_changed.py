@@ -18,6 +18,7 @@ def stale():
     return stale_answers(StudyFile.read(Path("mast")), Results(FOLDER))
 
 
+@pytest.mark.slow
 def test_results_as_written_are_shown(answered):
     found = stale()
     assert not found.sentences and not found.files

@@ -107,6 +107,7 @@ def test_a_study_that_was_extended_into_the_results(library, capsys):
     assert Path(proposed, "mast2", "comparison_before.csv").is_file()
 
 
+@pytest.mark.slow
 def test_files_of_the_user_where_results_would_go(sums, capsys):
     mine = Path("results/plain")
     mine.mkdir(parents=True)
@@ -126,6 +127,7 @@ def test_files_of_the_user_where_results_would_go(sums, capsys):
     assert cli.execute(["compare", "plain"]) == 0
 
 
+@pytest.mark.slow
 def test_inputs_among_the_results(sums, capsys):
     assert cli.execute(["compare", "plain"]) == 0
     shutil.move("plain/measured.csv", "results/plain/mine.csv")
@@ -138,6 +140,7 @@ def test_inputs_among_the_results(sums, capsys):
     assert cli.execute(["compare", "plain", "--results", "other"]) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name",
     [
@@ -168,6 +171,7 @@ def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monk
     assert not [p for p in kept if str(p) in said]
 
 
+@pytest.mark.slow
 def test_what_calib_wrote_is_replaced(sums):
     assert cli.execute(["calibrate", "plain"]) == 0
     text = Path("plain/measured.csv").read_text()
@@ -177,6 +181,7 @@ def test_what_calib_wrote_is_replaced(sums):
     assert set(contents("results")) == names and not list(Path("results/plain").glob(f"*{KEPT}*"))
 
 
+@pytest.mark.slow
 def test_two_studies_of_one_name(sums, capsys):
     shutil.copytree("plain", "other/plain")
     assert cli.execute(["calibrate", "plain"]) == 0

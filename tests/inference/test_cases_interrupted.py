@@ -79,6 +79,7 @@ def uninterrupted(search, tmp_path_factory):
     return results, tables
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("place", "numbers"),
     [
@@ -114,6 +115,7 @@ def _slowly(search, path):
     search_all(search, path, search.evaluator(pause=0.01))
 
 
+@pytest.mark.slow
 def test_killed_from_outside(tmp_path, uninterrupted, search):
     for attempt in range(20):  # a run that got through before the first kill, on a busy machine, is repeated
         path, times = tmp_path / f"{attempt}.sqlite", 0
@@ -146,6 +148,7 @@ def test_stopped_by_the_keyboard(tmp_path, uninterrupted, search):
     assert len(evaluator.points) == len(uninterrupted[1][0])
 
 
+@pytest.mark.slow
 def test_a_failure_of_the_machine_is_repaired_by_the_next_run(tmp_path, uninterrupted, search):
     class Unlucky(search.evaluator):
         isolated = True

@@ -80,6 +80,7 @@ def test_a_space_with_fewer_points_than_individuals():
 # -- mating ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_crossover_measured():
     # Individual k has k in every gene: a child of a crossed pair holds two numbers, a copy holds one. A mutation too
     # small to hide that makes all children different, so that none is replaced.

@@ -46,6 +46,7 @@ def test_the_kind_that_is_off_is_the_one_that_is_told(wrong):
     assert table.loc[table["shape"] < 0.02, "missing"].all() and not table.loc[table["shape"] >= 0.1, "missing"].any()
 
 
+@pytest.mark.slow
 def test_two_kinds_that_are_off_need_both(wrong):
     one = wrong("shape", 20.0)
     one = replace(one, data=one.data + wrong("frequency", 12.0).data - wrong("frequency", 0.0).data)  # of 0.1 %

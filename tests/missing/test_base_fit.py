@@ -94,6 +94,7 @@ def test_a_decision_begins_where_it_is_told(trapped):
     assert found.verdict == "nothing_detectable" and found.base_starts == 0 and not found.begun_anew
 
 
+@pytest.mark.slow
 def test_a_second_fit_of_the_base_model_is_told(cases):
     found = replace(cases["none_explains"], base_starts=0)
     assert "further point" not in text_of(found)

@@ -33,6 +33,7 @@ def test_a_fault_alone_is_named(faulty):
     assert "is what does not fit: F2" in text_of(found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fault_far_ahead_is_told_first_although_something_is_left(faulty, seed):
     made = beside(faulty())

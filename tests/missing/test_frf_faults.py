@@ -73,6 +73,7 @@ def test_faults_at_zero_change_nothing():
     assert sum(not f.of_pair for f in pair.faults) == 3 * 4 + 4 and sum(f.of_pair for f in pair.faults) == 3 + 2
 
 
+@pytest.mark.slow
 def test_an_error_that_is_fitted_is_no_fault(bogie):
     """Whatever its prior, or the name of its test."""
     pair = hypotheses(truth()).pair
@@ -167,6 +168,7 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
     assert float(ends[1]) < percent * effect.as_told(fitted) < float(ends[2])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ground", [0.0, 3e3])
 def test_exchanged_responses_are_told_alone_and_beside_an_effect(ground):
     found = decide(hypotheses(truth(ground)[:, [2, 1, 0]]))
@@ -190,6 +192,7 @@ def test_an_exchange_changes_both_rows_with_an_exact_derivative():
     )
 
 
+@pytest.mark.slow
 def test_a_missing_effect_is_named_and_sound_data_are_silent():
     assert decide(hypotheses(truth())).verdict == "nothing_detectable"
     found = decide(hypotheses(truth(ground=3e3)))
@@ -257,6 +260,7 @@ def light_force(model):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("plant", "name", "value", "words"),

@@ -34,6 +34,7 @@ def errors_of(found):
 # -- several effects ---------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("truth", [THREE, {**THREE, "E3": 1.6}])
 def test_three_and_four_effects_are_named_and_no_other(toy, truth):
@@ -63,6 +64,7 @@ def test_of_three_effects_one_that_no_library_has_leaves_the_others_unnamed(toy)
     assert named <= 2
 
 
+@pytest.mark.slow
 def test_the_order_of_the_library_does_not_change_the_steps(toy):
     one = drawn(toy, THREE, 2)
     found, other = decide(one), decide(replace(one, effects=one.effects[::-1], count=[0]))

@@ -78,6 +78,7 @@ def why(tmp_path_factory):
     return study.problem.calibrate(starts=1, progress=False).explain(list(four_storey_effects()), progress=False)
 
 
+@pytest.mark.slow
 def test_the_measured_damping_shows_loss_at_the_ground(why):
     assert why.verdict == "effect"
     row = why.table.iloc[0]
@@ -99,6 +100,7 @@ def test_without_that_effect_its_place_is_found_and_nothing_is_named():
     assert perturbation is not None and "c1" in str(perturbation.names)
 
 
+@pytest.mark.slow
 def test_four_frequencies_for_four_parameters_tell_nothing():
     study = calib.Study.load(STUDY.parent / "four_storey_rig", workers=1)
     found = study.problem.calibrate(starts=1, progress=False).explain((), progress=False)

@@ -25,6 +25,7 @@ def version(path):
     return raw(path, "PRAGMA user_version")[0][0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_vectors", [True, False])
 def test_every_bit_is_kept(former, tmp_path, with_vectors):
     path = tmp_path / "ledger.sqlite"
@@ -95,6 +96,7 @@ def test_what_a_search_asks_is_answered_as_before(former, tmp_path):
             opened._database.execute("DELETE FROM evaluation")
 
 
+@pytest.mark.slow
 def test_the_disk_gets_its_room_back(contents, tmp_path, monkeypatch):
     many = [
         Outcome({f"p{k}": i + k / 7.0 for k in range(16)}, "ok", {f"r{k}": i / (k + 3.0) for k in range(48)}, "", 0.1)

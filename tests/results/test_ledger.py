@@ -321,6 +321,7 @@ def _write(path, number, gate):
             ledger.append("f", [ok(x=float(k)), ok(x=float(1000 * number + k))])
 
 
+@pytest.mark.slow
 def test_processes_on_one_ledger_wait_for_each_other(tmp_path):
     path, gate = tmp_path / "new" / "ledger.sqlite", FORK.Barrier(3)
     writers = [FORK.Process(target=_write, args=(path, k, gate)) for k in (1, 2, 3)]

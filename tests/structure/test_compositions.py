@@ -39,6 +39,7 @@ class Named:
     name: str
 
 
+@pytest.mark.slow
 def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bogie):
     """With the damping constant c and the lag t it is ``c l/(1 + c/k l)`` along each damper, ``t = c/k``."""
     parts, lag = ("primary damper front left", "primary damper rear right"), 7e-3

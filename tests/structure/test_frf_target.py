@@ -46,6 +46,7 @@ def made(ladder):
     return model, target, train(model, model.space, target, seed=1)
 
 
+@pytest.mark.slow
 def test_the_error_at_fresh_points_is_below_the_tolerance_and_as_estimated(made):
     model, target, basis = made
     reduced = ReducedModel(model, basis)
@@ -170,6 +171,7 @@ def test_effects_meet_the_tolerance_too(made, effect, values):
         assert errors[0] > target.tolerance
 
 
+@pytest.mark.slow
 def test_enriching_meets_the_tolerance_outside_of_the_limits(made):
     model, target, _ = made
     narrow = train(model, model.space.keep(["mass"]), target, seed=1)

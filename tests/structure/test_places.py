@@ -2,6 +2,7 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from calib.correlation.mesh_error import places_table
 from calib.problem.space import Parameter
@@ -61,6 +62,7 @@ def test_beams_without_motions_in_their_plane_are_no_springs():
     assert {p.form for p in places} == {"part"}
 
 
+@pytest.mark.slow
 def test_every_parameter_of_the_bogie_has_its_places():
     model = bogie_on_rig()
     places = [p for p in model.places if p.parameters]

@@ -44,6 +44,7 @@ def lifted(reduced, values):
     return replace(modes, shapes=reduced.lift(modes.shapes))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("grounded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
@@ -55,6 +56,7 @@ def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
         assert before[0] > 5 * after[0]  # there was something to refine
 
 
+@pytest.mark.slow
 def test_refined_modes_are_scaled_as_solved_ones(coarse):
     reduced = coarse(True, True)
     values = reduced.model.space.values
@@ -78,6 +80,7 @@ def test_each_step_gains_orders_of_magnitude(coarse, monkeypatch):
     assert refined_modes(reduced, values, COUNT, accuracy=1e-300) is None  # too few steps: it says so
 
 
+@pytest.mark.slow
 def test_a_mode_that_leaves_the_nearly_critical_ones_is_refined_too(coarse, monkeypatch):
     """Modes above the largest damping ratio are corrected once, and asked again when a step has moved them below."""
     reduced = coarse(True, True)

@@ -60,6 +60,7 @@ def both():
     return calib.Problem(WORLD.chain(), tests).calibrate(starts=1, progress=False)
 
 
+@pytest.mark.slow
 def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     """By hand from the derivatives of each test at the joint fit, the prior counted once."""
     names, space = list(both.parameters.index), both.problem.space
@@ -131,6 +132,7 @@ def test_a_study_with_tests_of_its_own_takes_no_held_out_data_of_its_base(tmp_pa
     assert all(set(one.problem.targets) == {"y", "z"} and not one.unseen for one in study.studies)
 
 
+@pytest.mark.slow
 def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
     """As an extended study does, which begins where the explanation ended."""
     study = write_study(tmp_path / "chain")

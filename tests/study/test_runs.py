@@ -111,6 +111,7 @@ def test_a_study_of_a_table_tells_the_prognosis_of_its_runs_and_fits(tmp_path):
     assert values["k"] == pytest.approx(TRUE["k"], rel=0.01) and len(fit.table) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("response", "inputs", "words"),
     [("f1", ("k", "mu"), "'mu' is no input"), ("f1", ("k", "k"), "named twice"), ("f9", None, "no response 'f9'")],
@@ -127,6 +128,7 @@ def test_a_metamodel_is_drawn_by_its_name(tmp_path, response, inputs, words):
     assert not (tmp_path / "other.png").exists()
 
 
+@pytest.mark.slow
 def test_another_table_is_another_model(tmp_path):
     one = read_runs(written(tmp_path, table()), inputs=["k", "m"])
     other = read_runs(written(tmp_path, table(seed=2)), inputs=["k", "m"])

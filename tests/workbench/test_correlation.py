@@ -2,10 +2,12 @@
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from calib.report.numbers import fixed, percent
 
 
+@pytest.mark.slow
 def test_the_matrix_and_the_pairs_are_those_of_the_tables(page, key, here):
     found = page.get(f"study/{key}/correlation").json()["correlation"]
     (stage,) = found["stages"]

@@ -32,6 +32,7 @@ DETERMINISTIC = {"rho_alu", "E_alu", "e_bas", "e_par", "e_cob"}
 BY_SYMBOL = {p.symbol: p for p in CAR}
 
 
+@pytest.mark.slow
 def test_table_is_complete_and_names_are_unique(car):
     assert list(BY_SYMBOL) == list(PUBLISHED)
     assert all(p.source.endswith("Table 1") and p.description for p in CAR)

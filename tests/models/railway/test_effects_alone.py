@@ -94,6 +94,7 @@ def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises(rigid):
         assert weight == pytest.approx(expected, abs=1e-6), name
 
 
+@pytest.mark.slow
 def test_block_tilt_resists_a_block_that_tilts(rigid):
     tilted = rigid(base(), 3, {"block_left"}, (0.0, rig.BLOCK_Y, rig.BLOCK_Z))
     stiffness = change("block_tilt", {"block_tilt": 70.0})[0]
@@ -118,6 +119,7 @@ def test_one_corner_only(rigid):
         assert np.all(touched[:, [0, 2]] > 1.0)
 
 
+@pytest.mark.slow
 def test_soft_mounts_are_in_series_with_the_dampers():
     c, s, root, n = 18e3, 300e-9, 80j - 5, base().n_dof
     k, damping, _ = with_effect("damper_mount").matrices({"damper_mount": 300.0})
@@ -142,6 +144,7 @@ def test_rolling_wheels_are_heavier_lengthwise(rigid):
     assert ahead @ mass @ ahead == pytest.approx(2 * 48.0 / 0.43**2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("twin", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_gear_case_off_the_middle_turns_on_an_arm(rigid, twin):
     model, centre, mass, e = base(twin), (AXLE_X, AXLE_Y, 0.0), 300.0, 0.2

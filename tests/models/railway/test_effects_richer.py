@@ -38,6 +38,7 @@ def test_three_effects_have_families():
         assert all(p.description for p in e.nuisance)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RICHER)
 def test_magnitude_zero_leaves_the_base_model(name):
     n = base().n_dof

@@ -68,11 +68,13 @@ def test_seats_are_oscillators_of_one_degree_of_freedom_at_22_hz(car):
     np.testing.assert_allclose(np.diag(c) / (2 * np.sqrt(np.diag(k) * np.diag(m))), 0.072, rtol=0.01)
 
 
+@pytest.mark.slow
 def test_seats_do_not_disturb_measured_modes(car, damped, which):
     shares = car.energy_shares({}, damped.shapes, ["seats.y"])[0]
     assert max(shares[k] for k in which.index.values()) < 0.12
 
 
+@pytest.mark.slow
 def test_no_matrix_has_a_negative_direction(car):
     k, c, m = car.matrices({})
     for matrix in (k, c, m):
@@ -96,6 +98,7 @@ def test_modes_lie_in_the_ranges_of_the_case_study(damped, which):
     assert not damped.excluded or all(root.kind == "overdamped" for root in damped.excluded)
 
 
+@pytest.mark.slow
 def test_damped_bogie_modes_lie_above_undamped_ones_as_in_table_4(damped, which, undamped, classical):
     def ratio(name):
         return damped.damped_freq[which.index[name]] / undamped.natural_freq[classical.index[name]]
@@ -139,6 +142,7 @@ def test_strain_energy_lies_where_the_mode_is_measured(car, damped, which):
         assert share(name, [*frames, "front_frame.x", "rear_frame.x"]) > 0.7
 
 
+@pytest.mark.slow
 def test_secondary_springs_move_the_rigid_modes_alone(moved):
     change = moved({"K_secondary_front": 1.1 * 256.4, "K_secondary_rear": 1.1 * 256.4})
     assert min(change[name] for name in ("1C", "2C", "3C")) > 2.0
@@ -200,6 +204,7 @@ def test_sensors_of_the_case_study_find_their_places(car, vehicle_sensors):
     np.testing.assert_allclose(rows @ rise, [s.direction == "y" for s in vehicle_sensors], atol=1e-9)
 
 
+@pytest.mark.slow
 def test_bogie_under_the_car_is_the_bogie_of_the_rig(car):
     # Without bolsters, and shifted: the frames' steel, springs and masses are those of the first phase.
     rig = bogie_on_rig(element_size=0.15)

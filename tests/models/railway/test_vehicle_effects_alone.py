@@ -65,6 +65,7 @@ def test_soft_window_corners_give_their_share_of_pillars_that_bend_evenly(alone,
     assert lost == pytest.approx(-share * rigidity * kappa**2 * (2.75 - 1.80), rel=0.02)
 
 
+@pytest.mark.slow
 def test_panes_resist_shear_of_their_openings_alone(alone, energy):
     stiffness = alone.change("window_glass", {"window_glass": 8.0})[0]
     lengthwise = energy(stiffness, alone.field(lambda x, y, z: (1e-3 * y, 0, 0, 0, 0, 0)))

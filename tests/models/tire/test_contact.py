@@ -23,6 +23,7 @@ def pressed(ground):
     return load_curve(ground, DEFLECTION).complete().last
 
 
+@pytest.mark.slow
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("pressure", "force"), [(1e5, 806), (2e5, 1303), (3e5, 1763)])
 def test_forces_at_three_pressures(pressure, force):
@@ -34,6 +35,7 @@ def test_forces_at_three_pressures(pressure, force):
     assert centre / pressure == pytest.approx(1.0, abs=0.06)
 
 
+@pytest.mark.slow
 def test_the_load_is_the_derivative_of_the_energy_by_the_deflection(ground, pressed):
     h = 1e-5
     low, high = (load_curve(ground, DEFLECTION + x).last for x in (-h, h))

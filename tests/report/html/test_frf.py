@@ -35,6 +35,7 @@ def number(cell):
     return float(cell.replace("−", "-"))
 
 
+@pytest.mark.slow
 def test_every_measured_function_is_told_with_its_use(chain, blocks):
     found = tables(blocks)["Every measured FRF"]
     expected = pd.read_csv(chain / "measured.csv")

@@ -25,6 +25,7 @@ def key(folder, blocks):
     return {row[0].split()[0]: row for row in blocks(folder, Table)[KEY].rows}
 
 
+@pytest.mark.slow
 def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limits(results):
     every = page_blocks(results)
     (place,) = [k for k, block in enumerate(every) if isinstance(block, Table) and block.caption == KEY]
@@ -66,6 +67,7 @@ def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     assert rows["score"][3] == f"{count} of {len(scores)}" and count
 
 
+@pytest.mark.slow
 def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, blocks):
     table = pd.read_csv(folder / "effects.csv")
     limit = 3 + math.log(len(table))
@@ -75,6 +77,7 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
     assert key(folder, blocks)["evidence"][3] == table["name"][0]
 
 
+@pytest.mark.slow
 def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted_only(folder, blocks):
     table = pd.read_csv(folder / "effects.csv")
     assert len(table) >= 4
@@ -99,6 +102,7 @@ def test_the_levels_are_those_of_the_analyses():
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 
 
+@pytest.mark.slow
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("pulled", [(), (0,), (0, 2)])
 def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
@@ -109,6 +113,7 @@ def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
     assert key(folder, blocks)["shift"][3] == (", ".join(names) or NONE)
 
 
+@pytest.mark.slow
 def test_without_an_explanation_p_is_told_with_the_errors(folder, blocks):
     (folder / "explanation.json").unlink()
     assert KEY not in blocks(folder, Table)

@@ -127,6 +127,7 @@ def test_the_sentences_are_those_in_the_record(everything, read):
         assert sentences and all(" ".join(s.replace("->", "→").split()) in read.text for s in sentences)
 
 
+@pytest.mark.slow
 def test_figures_show_the_tables(everything, blocks, painted):
     pictures, figures = blocks(everything, Picture), StudyResults(everything, "", True).figures
     assert set(pictures) <= set(figures.plan) and len(pictures) > 12
@@ -154,6 +155,7 @@ def hovers(svg):
     return [html.unescape(words) for words in re.findall(r"<title>(.*?)</title>", svg)]
 
 
+@pytest.mark.slow
 def test_effects_that_are_not_visible_are_grey(folder, blocks):
     effects = pd.read_csv(folder / "effects.csv")
     effects["visible"] = effects["name"] != "lamp"
@@ -163,6 +165,7 @@ def test_effects_that_are_not_visible_are_grey(folder, blocks):
     assert table.rows[k][1] == "lamp" and "not visible at a plausible magnitude of" in table.rows[k][-1]
 
 
+@pytest.mark.slow
 def test_a_group_of_data_that_one_stage_lacks_has_a_dash(folder, blocks):
     errors = pd.read_csv(folder / "added_errors.csv")
     lost = (errors["group"] == "held_out_sensors") & (errors["stage"] == "after")
@@ -205,6 +208,7 @@ def test_a_mode_of_an_added_effect_is_told_in_the_section_of_that_model(folder):
     assert told() == [("added", own)]
 
 
+@pytest.mark.slow
 def test_the_axes_stand_with_the_places_of_the_effects_as_the_model_names_them(folder, blocks):
     file = folder / "record.json"
     record = json.loads(file.read_text("utf-8"))
@@ -237,6 +241,7 @@ def test_held_out_sensors_are_a_candidate_to_be_used(everything):
     assert [name for name in own if "validation" in name] == [f"sensors {', '.join(held)}, validation data so far"]
 
 
+@pytest.mark.slow
 def test_the_limits_of_the_search_are_told_beside_those_of_the_sensitivity(folder, reader):
     space = pd.read_csv(folder / "parameter_space.csv")
     space.loc[0, ["lower", "upper", "search_lower", "search_upper"]] = 11.0, 12.0, 1.0, 22.0
