@@ -132,6 +132,7 @@ def users_files() -> list[Path]:
     return [*(ROOT / "models").rglob("*.py"), *studies, *(ROOT / "calib" / "template").rglob("*.py")]
 
 
+@pytest.mark.slow
 def test_models_and_effects_import_the_public_faces_alone():
     files = users_files()
     assert len(files) > 60

@@ -269,6 +269,7 @@ def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     assert gone(pids)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="the system has no such signals")
 def test_a_worker_leaves_requests_to_end_to_its_parent_and_the_programs_of_a_model_do_not(source):
     with Evaluator(source(), isolated=True) as evaluator:
@@ -284,6 +285,7 @@ def test_warnings_of_libraries_do_not_reach_the_terminal(source, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+@pytest.mark.slow
 def test_a_thread_that_the_model_leaves_running_keeps_no_process(source, tmp_path):
     log = tmp_path / "built"
     evaluator = Evaluator(source(str(log)), isolated=True)
@@ -372,6 +374,7 @@ STARTS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 @pytest.mark.parametrize("start", STARTS)
 def test_a_process_that_is_still_importing_when_its_parent_is_killed_ends_too(tmp_path, start):

@@ -194,6 +194,7 @@ def test_what_cannot_be_sent_is_done_here(module):
         assert not one.shares
 
 
+@pytest.mark.slow
 def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module, meeting):
     with Team(2) as one:
         one(lambda shared, item: item, None, range(5))

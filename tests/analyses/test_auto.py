@@ -89,5 +89,6 @@ def test_points_that_fail_leave_the_search(answer):
     assert all(case.search is not None for case in found.cases)
 
 
+@pytest.mark.slow
 def test_the_same_with_a_quick_run(answer):
     assert [case.search for case in answer(quick=True).cases] == [None, None]

@@ -218,6 +218,7 @@ def test_a_fit_by_an_explanation_of_another_state_is_not_a_start(guyed, tmp_path
     assert explained_fit(LoadedStudy.load(own.file), results) == {} == explained_fit(wider, beside)
 
 
+@pytest.mark.slow
 def test_a_fit_of_another_model_is_not_a_start(guyed, tmp_path):
     study = guyed[0]
     results = Results.at(tmp_path / "results", study.name)

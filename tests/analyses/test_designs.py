@@ -70,6 +70,7 @@ def test_each_row_is_a_point_with_its_responses_constraint_and_errors(table):
     assert (table["both"] <= 4).all() and set(table["case"]) == {"A", "B", OTHER}
 
 
+@pytest.mark.slow
 def test_the_best_stand_first_and_what_failed_last(study, table):
     assert table["objective"].dropna().is_monotonic_increasing and table["rank"].tolist() == list(
         range(1, len(table) + 1)

@@ -119,6 +119,7 @@ def test_the_chain_goes_on_where_a_member_is_not_adequate(parts):
     assert words.startswith("In more detail cubic does not explain the data either: ") and "extend" not in words
 
 
+@pytest.mark.slow
 def test_only_what_is_far_ahead_and_not_named_is_refined(explained):
     found = explained.explanation.explanation
     assert leading_fit(found) is found.chosen and is_far_ahead(found)

@@ -147,6 +147,7 @@ def test_a_difference_that_a_candidate_describes_shows_in_its_score(settled):
     )
 
 
+@pytest.mark.slow
 def test_there_is_no_noise_in_it(settled, mast):
     """Other noise of the same standard deviation gives nearly the same scores, and no score depends on a seed."""
     hypotheses, fit = settled

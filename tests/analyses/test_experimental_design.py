@@ -56,11 +56,13 @@ def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
     assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.measurements)
 
 
+@pytest.mark.slow
 def test_present_signatures_are_those_of_the_measured_problem(world):
     _, hypotheses, fit = world
     np.testing.assert_allclose(sizes(design_of(hypotheses, fit)), measured_again(hypotheses, fit), rtol=EXACT)
 
 
+@pytest.mark.slow
 def test_more_sensors_gain_as_predicted(world):
     _, hypotheses, fit = world
     design = design_of(hypotheses, fit)

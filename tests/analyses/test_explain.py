@@ -133,6 +133,7 @@ def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkey
 # -- summary -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_summary_has_the_documented_keys(guyed, bare, chain):
     for study, results, answer in (guyed[:3], bare, chain):
         content = json.loads((results.path / "explanation.json").read_text())

@@ -143,6 +143,7 @@ def test_places_that_the_data_do_not_discriminate_are_all_credible():
     assert places_sentence(table).endswith(" explains about as well.")
 
 
+@pytest.mark.slow
 def test_places_count_in_the_evidence(clear):
     chosen = clear.explanation.explanation.chosen
     (effect,) = chosen.effects

@@ -48,6 +48,7 @@ def test_effect_and_fault_are_told_together(told):
     assert "Check its calibration" in answer.answer.then and f'"{fault.name}" = {value:.3g}' in answer.sentence
 
 
+@pytest.mark.slow
 def test_it_is_written_as_it_is_told(told):
     folder, answer = told
     summary = json.loads((folder / "explanation.json").read_text())

@@ -131,6 +131,7 @@ def test_frfs_held_out_are_predicted_with_the_misfit(frfs):
     assert line["value"] == pytest.approx(entry.imag)
 
 
+@pytest.mark.slow
 def test_a_candidate_with_a_grid_changes_held_out_data_by_differences(frfs):
     """The same as the derivative where the grid has one small point."""
     explanation, adapter = frfs

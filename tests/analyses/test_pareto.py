@@ -67,6 +67,7 @@ def test_the_front_is_that_of_the_closed_form(found):
     assert two["least"] == front["second"].min() and one["least_squares"] == fitted["first"]
 
 
+@pytest.mark.slow
 def test_same_seed_same_table_whoever_evaluates(fit):
     first = fit.pareto(objectives=TWO, **SMALL)
     with ThreadPoolExecutor(2) as executor:
@@ -173,6 +174,7 @@ def test_front_and_knee_of_points():
 # -- drawn, by command -------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_weights_are_a_line_through_the_best_design(found):
     ax = draw_pareto(found.table, found.of.objectives)
     lines = {line.get_gid(): line for line in ax.get_lines()}

@@ -86,6 +86,7 @@ def test_choices_keep_away_from_designs_and_from_each_other():
     assert chosen(np.where(line[:, 0] < 0.55, 1.0, 0.0), line, line[[0]], 1) == [5]
 
 
+@pytest.mark.slow
 def test_errors_are_those_of_the_nearest_designs(sampled):
     models = [one for one in sampled.prognosis.models if one.response == "z"]
     x = sampled.samples[["a", "b"]].to_numpy()

@@ -203,6 +203,7 @@ def test_a_quick_run_takes_the_selection_of_a_quick_sensitivity_analysis(stages)
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_a_worker_starts_from_holds_the_values_too(found):
     study = _two()
     evaluate = pickle.loads(pickle.dumps(EvaluationSource.of(study, study.problem)))()

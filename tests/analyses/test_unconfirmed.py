@@ -50,6 +50,7 @@ def test_an_effect_that_held_out_data_contradict_is_not_named(contradicted, guye
     assert set(pd.read_csv(results.path / "errors.csv")["stage"]) == {"before", "attempt"}
 
 
+@pytest.mark.slow
 def test_an_unconfirmed_effect_is_not_added(contradicted, tmp_path):
     found = contradicted[2].explanation
     assert to_add(found) is None

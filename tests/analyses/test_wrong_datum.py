@@ -50,6 +50,7 @@ def test_the_summary_names_the_datum(spoilt):
     assert datum["ln_bayes"] == answer.explanation.datum.ln_evidence - answer.explanation.base.ln_evidence
 
 
+@pytest.mark.slow
 def test_nothing_is_added_for_a_wrong_frequency(spoilt, tmp_path):
     study, _, answer = spoilt
     assert to_add(answer.explanation) is None

@@ -149,6 +149,7 @@ def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     assert ".predictions" not in explained.lines["Evidence"]
 
 
+@pytest.mark.slow
 def test_no_candidate_measurement_takes_information_away(explained):
     """Both sensors in use are forces already, of which one is held out: there is none to add."""
     table = explained.explanation.tables["next_measurement"]

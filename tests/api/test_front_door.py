@@ -255,6 +255,7 @@ def test_what_does_not_fit_together_is_refused(rig, chain, wrong):
         wrong(rig, chain)
 
 
+@pytest.mark.slow
 def test_without_a_named_effect_none_is_added(explained, library):
     again = explained.with_named().explain(library)  # what the model has already is left out
     assert again.verdict == "nothing_detectable" and again.named == ()

@@ -60,6 +60,7 @@ def test_the_extended_model_fits_and_predicts_what_was_held_out(case):
         assert rms.loc[group, "after"] < 0.7 * rms.loc[group, "before"]
 
 
+@pytest.mark.slow
 def test_the_written_code_builds_what_was_fitted(case):
     _, _, proposed, _ = case
     scope = {}

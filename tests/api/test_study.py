@@ -46,6 +46,7 @@ def test_a_study_gives_the_results_of_the_command(rig):
     np.testing.assert_allclose(calibrated.table.set_index("parameter")["std"], told["std"], rtol=1e-8)
 
 
+@pytest.mark.slow
 def test_the_posterior_correlation_is_that_of_the_covariance(rig):
     calibrated = rig[1][2]
     table = pd.read_csv(calibrated.folder / "posterior_correlation.csv").set_index("parameter")

@@ -50,6 +50,7 @@ def test_tables_have_their_columns(table, name):
     assert list(table(name).columns) == COLUMNS[name]
 
 
+@pytest.mark.slow
 def test_the_files_are_read_as_they_were_written(table):
     repeats = WORLD.repeats_of(WORLD.truth(WORLD.TRUE, ground=WORLD.HIDDEN), 2)
     used = (WORLD.FREQ < 20.0) | (WORLD.FREQ > 26.0)

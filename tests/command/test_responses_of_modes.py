@@ -151,6 +151,7 @@ def test_the_folder_compares_the_numbers_that_a_notebook_does(ran):
     np.testing.assert_allclose(stored["error_in_std"], told["error_in_std"], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_every_parameter_matters_to_some_number(ran):
     chosen = pd.read_csv(ran.of / "selection.csv").set_index("parameter")
     assert set(chosen.index[chosen["selected"]]) == {"k1", "k3", "b"}

@@ -49,6 +49,7 @@ def elsewhere(model, responses, references, values=None):
     return FRFProblem(model, data).functions(values or {})
 
 
+@pytest.mark.slow
 def test_every_axis_that_matters_has_a_parameter(bogie):
     """Beams: a vertical sensor on a girder along x feels its slope; across it, the arm to its axis turns with it."""
     found = place_nuisances(empty(), SD, bogie)

@@ -62,6 +62,7 @@ def test_parameters_are_named_after_transducers_and_axes(bogie):
     assert all(e.parameter.name.endswith(" in test A") for e in belonging_to("A", EVERY))
 
 
+@pytest.mark.slow
 def test_a_turned_sensor_or_force_acts_along_both_axes(bogie):
     """By the functions of a transducer along each axis; only its own side of its own name is turned."""
     plain = FRFProblem(bogie, empty()).functions({})

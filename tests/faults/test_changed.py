@@ -24,6 +24,7 @@ def test_results_as_written_are_shown(answered):
     assert not found.sentences and not found.files
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("file", ["parameters.csv", "summary.json", "measured.csv", "record.json"])
 def test_a_changed_file_is_not_shown(answered, file, capsys):
     path = FOLDER / file

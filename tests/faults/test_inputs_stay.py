@@ -193,6 +193,7 @@ def test_two_studies_of_one_name(sums, capsys):
     assert cli.execute(["compare", "other/plain", "--results", "others"]) == 0
 
 
+@pytest.mark.slow
 def test_a_study_moved_together_with_its_results(sums):
     assert cli.execute(["compare", "plain"]) == 0
     Path("moved").mkdir()

@@ -21,6 +21,7 @@ def test_the_deviation_falls_linearly():
     assert GeneticSettings(generations=2).sigma(2) == 0.10
 
 
+@pytest.mark.slow
 def test_mutations_measured():
     # Every parent in the middle: whatever differs has mutated, far from the limits.
     n, settings = 40, GeneticSettings(population=200, generations=4, sigma_start=0.08, sigma_end=0.02)

@@ -86,6 +86,7 @@ def test_claimed_and_assumed_standard_deviations_are_those_of_means():
     assert part.behind.shape == part.values.shape
 
 
+@pytest.mark.slow
 def test_few_lines_stay_and_gaps_count_fewer():
     frfs = measured()
     assert thinned(frfs, most=len(frfs.freq)) is frfs

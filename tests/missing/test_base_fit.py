@@ -152,6 +152,7 @@ def test_modes_are_judged_by_their_scores(toy):
     assert not overstated(goodness(made.calibrated(), made)[0], made)
 
 
+@pytest.mark.slow
 def test_a_model_that_is_nearly_rejected_is_told_with_its_limit(cases):
     found = cases["nothing_detectable"]
     assert "only just" not in text_of(found) and "largest score is" not in text_of(found)

@@ -101,6 +101,7 @@ def test_faults_of_a_test_among_several_bear_its_name():
     assert set(named.space.names) == {"k", *(f.name for f in found)}
 
 
+@pytest.mark.slow
 def test_transducers_have_the_faults_of_a_modal_test(bogie):
     """A box is rigid and moves along all axes, the crossbar is a beam along z; every response has its neighbours."""
     found = {f.name: f for f in frf_faults(bogie, of_bogie(bogie))}

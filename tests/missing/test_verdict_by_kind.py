@@ -161,6 +161,7 @@ def nearly(toy):
     return first(real, {"hidden": 12.0}, "partial")
 
 
+@pytest.mark.slow
 def test_something_like_an_effect_is_told_with_a_range(nearly):
     assert nearly.chosen.names == ("E1",) and is_simpler_form(nearly)
     text = text_of(nearly)

@@ -54,6 +54,7 @@ def test_a_wrong_datum_is_not_named_an_effect(toy, share):
         assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
 
 
+@pytest.mark.slow
 def test_the_odds_of_a_datum_that_is_far_off_are_bounded(toy):
     found = decide(spoilt(beside(toy(), 0.3), np.random.default_rng(1), 60.0))
     assert found.verdict == "indistinguishable" and found.datum.ln_evidence - found.chosen.ln_evidence > 60

@@ -85,6 +85,7 @@ def test_the_measured_damping_shows_loss_at_the_ground(why):
     assert row["name"] == "foundation_damping" and row["magnitude_low"] > 1.0 and row["magnitude_high"] < 2.0
 
 
+@pytest.mark.slow
 def test_frequencies_show_none_of_the_other_effects(why):
     scores = why.table.set_index("name")["z"].abs()
     assert scores[["foundation", "joint_rotation", "leaf_mass", "gravity", "top_mass", "cable"]].max() < 2.5

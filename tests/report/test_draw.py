@@ -125,6 +125,7 @@ def test_the_heading_takes_no_room_from_the_data(synthetic):
     assert layout["rect"][3] * figure.get_size_inches()[1] == pytest.approx(3.0)
 
 
+@pytest.mark.slow
 def test_figures_show_the_tables(folder, saved, before, convergence):
     keep_only(folder, "comparison_before", "comparison_after", "parameters", "convergence")
     Figures(folder, "Bogie", False).save()

@@ -90,6 +90,7 @@ def unbounded(tmp_path):
     return tmp_path, table
 
 
+@pytest.mark.slow
 def test_a_value_without_a_finite_interval_is_counted_and_not_drawn(unbounded):
     folder, table = unbounded
     ax = draw_predictions(table)

@@ -107,6 +107,7 @@ def test_arrows_are_the_residuals_of_the_mode(misfit, structure):
     np.testing.assert_allclose(drawn(ax, "re tip"), drawn(ax, "re")[1::2])
 
 
+@pytest.mark.slow
 def test_the_three_worst_modes_have_panels_on_one_scale(misfit, structure):
     figure = sensor_misfit_figure(misfit, structure)
     panels = [ax for ax in figure.axes if ax.get_subplotspec() is not None][1:]

@@ -195,6 +195,7 @@ def _opened(path, number, gate):
         opened.append("three", [Outcome({"x": float(number)}, "ok", {"y": 1.0}), Outcome({"x": 0.0}, "ok", {"y": 0.0})])
 
 
+@pytest.mark.slow
 def test_processes_that_open_it_at_once_convert_it_once(former, tmp_path):
     path, gate = tmp_path / "ledger.sqlite", FORK.Barrier(3)
     former.write(path)

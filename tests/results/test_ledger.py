@@ -108,6 +108,7 @@ def test_a_known_point_is_never_evaluated_again(ledger):
     assert ledger.evaluate("f", [], evaluator) == [] and len(evaluator.batches) == 2
 
 
+@pytest.mark.slow
 def test_many_points_at_once(ledger):
     evaluator = Counting()
     batch = [{"x": float(k)} for k in range(1201)]

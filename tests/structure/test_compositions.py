@@ -57,6 +57,7 @@ def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bo
         np.testing.assert_allclose(with_it, sum(exact * np.outer(b, b) for b in rows), rtol=1e-9, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_a_damper_that_feeds_energy_in_has_no_mount(bogie):
     own = part_of(bogie, "damping", "primary damper front left")
     bent = sp.csr_array(sp.diags_array(np.eye(bogie.n_dof)[own.matrix.indices[0]]))

@@ -102,6 +102,7 @@ def test_the_estimate_is_the_dual_weighted_residual_with_the_static_inverse(resp
     np.testing.assert_allclose(found[0], static[np.ix_(responses, [1, 5])], atol=1e-12 * np.abs(static).max())
 
 
+@pytest.mark.slow
 def test_a_basis_records_what_it_was_trained_for_and_how_well_it_is_met(made, tmp_path):
     _, target, basis = made
     table = basis.table()

@@ -93,6 +93,7 @@ def test_a_basis_cannot_be_changed(trained):
         basis.version = 2
 
 
+@pytest.mark.slow
 def test_samples_take_every_position_and_keep_the_constraints(trained):
     model, basis = trained
     place = basis.samples[:, basis.names.index("place")]

@@ -70,6 +70,7 @@ def test_refined_modes_are_scaled_as_solved_ones(coarse):
     assert zero.kind == free.model.modes(values, COUNT).excluded[0].kind
 
 
+@pytest.mark.slow
 def test_each_step_gains_orders_of_magnitude(coarse, monkeypatch):
     reduced = coarse(True, True)
     values = space_filling_points(reduced.model.space, 4, np.random.default_rng(9))[0]

@@ -78,6 +78,7 @@ def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     assert (told["all tests"] < 0.98 * told[["shaken", "tapped"]].min(axis=1)).all()
 
 
+@pytest.mark.slow
 def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
     joint, parts = both.problem.fit_problem, both.problem.fit_problem.parts
     labels = joint.labels
@@ -148,6 +149,7 @@ def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
                 load(study)
 
 
+@pytest.mark.slow
 def test_faults_of_channels_of_the_same_name_belong_to_their_tests(tmp_path):
     """In Python and as a study: another test has its own cables."""
     frfs = WORLD.measured(3, share=0.1, floor=0.02)

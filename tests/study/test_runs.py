@@ -62,6 +62,7 @@ method = "gauss-newton"
     return folder / "study.toml"
 
 
+@pytest.mark.slow
 def test_a_table_predicts_what_was_computed(tmp_path):
     problem = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], calib.ResponseTest(measured(0.005)))
     model = problem.model
@@ -74,6 +75,7 @@ def test_a_table_predicts_what_was_computed(tmp_path):
     assert fit.values["m"] == pytest.approx(TRUE["m"], rel=5e-3)
 
 
+@pytest.mark.slow
 def test_the_error_of_prediction_is_in_every_standard_deviation(tmp_path):
     rough = read_runs(written(tmp_path, table(noise=0.5)), inputs=["k", "m"])
     error = rough.metamodels.errors["f2"]
@@ -186,6 +188,7 @@ def test_a_study_of_a_table_names_the_line_of_what_is_wrong(tmp_path, options, w
     assert str(file) in str(fault.value)
 
 
+@pytest.mark.slow
 def test_other_metamodels_of_the_same_runs_are_another_model(tmp_path, monkeypatch):
     """Which are chosen depends on what is installed: points that others predicted are not found again."""
     path, before = written(tmp_path, table()), runs.prognosis

@@ -21,6 +21,7 @@ def test_the_matrix_and_the_pairs_are_those_of_the_tables(page, key, here):
         assert (pair["error"], pair["mac"]) == (percent(row["freq_error"], 2, sign=True), fixed(row["mac"], 3))
 
 
+@pytest.mark.slow
 def test_every_paired_model_mode_has_its_motion(page, key):
     found = page.get(f"study/{key}/correlation").json()["correlation"]
     (stage,), scene = found["stages"], found["scene"]

@@ -55,6 +55,7 @@ def test_size_is_that_of_the_case_study_prototype(rig):
     assert rig.n_dof == rig.dofs.expansion.shape[1] == len(rig.dofs.node) == len(rig.dofs.direction)
 
 
+@pytest.mark.slow
 def test_eight_modes_lie_where_they_should(nominal):
     np.testing.assert_allclose(nominal.damped_freq[:8], DAMPED, rtol=0.01)
     np.testing.assert_allclose(nominal.damping_ratio[:4], RATIO, rtol=0.02)
@@ -99,6 +100,7 @@ def test_primary_suspension_governs_1bt_and_4bt(steps):
         assert mine > 1.2 * max(others)
 
 
+@pytest.mark.slow
 def test_elastic_blocks_govern_2bt_and_3bt_alone(steps):
     for mode in ("2BT", "3BT"):
         mine = steps["K_block"][mode]

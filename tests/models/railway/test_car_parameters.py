@@ -69,6 +69,7 @@ def test_nominal_shares_of_the_further_equipment_make_a_whole():
     space.require_feasible()
 
 
+@pytest.mark.slow
 def test_assumptions_of_the_vehicle_are_listed_once_each_with_a_reason(car):
     items = [a.item for a in car.assumptions]
     assert len(set(items)) == len(items)

@@ -146,6 +146,7 @@ def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, eff
         assert effect_checks.outside(vector, library.columns(), prior=True) > 0.1
 
 
+@pytest.mark.slow
 def test_wood_bends_as_actuators_give_way(library, effect_checks):
     # Only the prior of the wood separates these two at the sensors of the study.
     (vector,) = library.signatures("actuator_flexibility")

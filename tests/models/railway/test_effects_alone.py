@@ -101,6 +101,7 @@ def test_block_tilt_resists_a_block_that_tilts(rigid):
     assert tilted @ stiffness @ tilted == pytest.approx(70e3)
 
 
+@pytest.mark.slow
 def test_blocks_and_rods_dissipate_as_they_store():
     terms = {t.name: t.matrix for t in base().stiffness.terms}
     blocks, rods = change("block_damping", {"block_damping": 3.0})[1], change("rod_damping", {"rod_damping": 2.0})[1]

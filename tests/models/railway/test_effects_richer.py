@@ -47,6 +47,7 @@ def test_magnitude_zero_leaves_the_base_model(name):
         assert own[:n, n:].count_nonzero() == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", RICHER)
 def test_no_matrix_is_negative_anywhere(name):
     """Not even at both ends of all limits; scaled by the diagonal, as small terms are negative by rounding only."""

@@ -87,6 +87,7 @@ def test_no_matrix_has_a_negative_direction(car):
         assert np.all(symmetric_factor(sp.csc_array(lifted)).U.diagonal() > 0)
 
 
+@pytest.mark.slow
 def test_modes_lie_in_the_ranges_of_the_case_study(damped, which):
     freq = {name: damped.damped_freq[k] for name, k in which.index.items()}
     assert 0.6 < freq["1C"] < freq["2C"] < freq["3C"] < 2.5
@@ -111,6 +112,7 @@ def test_damped_bogie_modes_lie_above_undamped_ones_as_in_table_4(damped, which,
         assert 1.0 <= ratio(name) < 1.1
 
 
+@pytest.mark.slow
 def test_every_named_mode_has_the_shape_of_its_name(classical):
     for name, alike in classical.alike.items():
         assert alike > (0.5 if name == "5C" else 0.75), name

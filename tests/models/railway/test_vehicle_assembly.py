@@ -66,6 +66,7 @@ def test_attachments_openings_and_edges_stay_where_they_are(whole, fine):
         assert structure.area(("walls",)) == pytest.approx(whole.structure.area(("walls",)), rel=1e-9)
 
 
+@pytest.mark.slow
 def test_heavy_attachments_stand_on_nodes_at_every_density(whole, fine):
     for structure in (whole.structure, fine.structure):
         nodes = structure.points[[b == "car" for b in structure.bodies]]

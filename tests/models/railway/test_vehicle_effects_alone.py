@@ -78,6 +78,7 @@ def test_panes_resist_shear_of_their_openings_alone(alone, energy):
     assert max(turned, stretched) < 0.01 * lengthwise
 
 
+@pytest.mark.slow
 def test_a_free_body_in_bending_has_the_damping_ratio_that_is_asked_for(alone, rigid_car):
     # zeta = phi^T C phi/(2 omega) for phi of unit mass and omega^2 = phi^T K phi: any shape of the aluminium shows it.
     damping = alone.change("body_damping", {"body_damping": 2.0})[1]

@@ -104,6 +104,7 @@ def test_belt_and_tread_carry_more():
         assert 1.05 * plain < load_curve(other.on_ground(2e5, 29, 16), DEFLECTION).last.load < 1.6 * plain
 
 
+@pytest.mark.slow
 def test_deflections_beyond_the_theory_are_warned_of_and_end_the_curve_with_its_good_steps(ground):
     with pytest.warns(RotationWarning):
         curve = load_curve(ground, np.linspace(5e-3, 40e-3, 8))

@@ -27,6 +27,7 @@ def test_the_picture_of_the_place_is_the_first_figure_and_shows_what_is_named(ev
     assert told == pytest.approx(size, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_doubts_are_numbered_each_with_its_check(everything, results, text):
     stored = json.loads((everything / "explanation.json").read_text())["doubts"]
     assert stored

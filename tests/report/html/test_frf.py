@@ -49,6 +49,7 @@ def test_every_measured_function_is_told_with_its_use(chain, blocks):
     assert (f"Validation data, in no fit: {', '.join(held)}." if held else "No function is kept") in intro
 
 
+@pytest.mark.slow
 def test_notes_on_the_measurement_are_reported(chain, tmp_path):
     folder = Path(shutil.copytree(chain, tmp_path / "chain"))
     record = json.loads((folder / "record.json").read_text("utf-8"))

@@ -37,6 +37,7 @@ def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limit
     assert "p" not in terms  # told by the key
 
 
+@pytest.mark.slow
 def test_the_limits_are_those_of_the_tests(everything, blocks):
     rows = key(everything, blocks)
     pulls, effects = pd.read_csv(everything / "pulls.csv"), pd.read_csv(everything / "effects.csv")

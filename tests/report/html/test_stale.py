@@ -256,6 +256,7 @@ def test_a_file_of_the_user_is_no_interrupted_analysis(sums):
     assert not stale().sentences
 
 
+@pytest.mark.slow
 def test_every_table_belongs_to_an_analysis_that_was_run(everything, scalar):
     for folder in (everything, scalar):
         analyses = json.loads((folder / "record.json").read_text())["analyses"]
