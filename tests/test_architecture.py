@@ -195,6 +195,7 @@ def test_the_page_points_its_arrows_as_the_code_does():
         assert min(RANK[name] for name in above) > max(RANK[name] for name in below), (above, below)
 
 
+@pytest.mark.slow
 def test_every_file_says_what_it_holds():
     """The list of modules in the documents is made of these sentences."""
     for file in [*(ROOT / "calib").rglob("*.py"), *(ROOT / "models").rglob("*.py")]:

@@ -266,6 +266,7 @@ def test_points_that_failed_with_the_executor_are_asked_again_by_one_that_surviv
     assert [o.status for o in mended] == ["ok", "ok"]
 
 
+@pytest.mark.slow
 def test_faults_of_the_setup_come_back(source):
     for kind, fault, text in (("unbuildable", InputError, "study changed"), ("bug", RuntimeError, "KeyError")):
         with ThreadPoolExecutor(2) as executor, pytest.raises(fault, match=text):

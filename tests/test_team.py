@@ -211,6 +211,7 @@ def test_tasks_within_a_task_are_done_by_its_process(two, module, meeting):
     assert all(set(row) == {row[0]} for row in found)
 
 
+@pytest.mark.slow
 def test_what_fails_or_dies_elsewhere_is_done_here(module, meeting):
     with Team(2) as one:
         ready(one, module, meeting)
@@ -303,6 +304,7 @@ def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
     assert sorted(told) == told and told[-1] < 20
 
 
+@pytest.mark.slow
 def test_tasks_are_shared_while_a_context_lasts():
     seen = []
 

@@ -61,6 +61,7 @@ def answer(study, tmp_path, method):
         return calibrate(study, results, ledger, 1, method=method)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("valley", VALLEYS)
 def test_least_squares_end_in_the_valley_they_begin_in(study, tmp_path, valley):
     found = answer(study(f"starts = 1\nbegin_at = {{ a = {valley + 0.1} }}"), tmp_path, "gauss-newton")

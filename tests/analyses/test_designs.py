@@ -81,6 +81,7 @@ def test_the_best_stand_first_and_what_failed_last(study, table):
     assert len(feasible) == int((~failed).sum()) and "failed" not in set(feasible["status"])
 
 
+@pytest.mark.slow
 def test_every_evaluated_individual_is_there_once(study, table):
     summary = pd.read_json(study.folder.path / "summary.json", typ="series")
     for case in ("A", "B"):

@@ -76,6 +76,7 @@ def test_more_sensors_gain_as_predicted(world):
     assert (measured_again(hypotheses, fit, sensors_in(best)) / now).max() > 1.1
 
 
+@pytest.mark.slow
 def test_held_out_sensors_are_to_be_used_and_not_measured_again(world):
     study, hypotheses, fit = world
     held = tuple(s for s in study.measured.sensors if s.name in HELD)

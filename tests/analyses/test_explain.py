@@ -31,6 +31,7 @@ KEYS = {
 # -- verdicts ----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_rope_is_named_with_its_magnitude(guyed):
     _, _, answer, _ = guyed
     assert answer.verdict == "effect" and answer.explanation.credible == ("guy",)
@@ -147,12 +148,14 @@ def test_the_summary_has_the_documented_keys(guyed, bare, chain):
         assert [e["name"] for e in content["effects"]] == list(answer.effects["name"])
 
 
+@pytest.mark.slow
 def test_every_key_of_the_summary_is_documented(guyed, chain):
     documented = runpy.run_path(str(ROOT / "tests/docs/tables.py"))["documented"]()["explanation.json"]
     for results in (guyed[1], chain[1]):
         assert set(json.loads((results.path / "explanation.json").read_text())) <= set(documented)
 
 
+@pytest.mark.slow
 def test_the_summary_holds_the_chosen_effects(guyed, bare):
     content = json.loads((guyed[1].path / "explanation.json").read_text())
     found = guyed[2].explanation

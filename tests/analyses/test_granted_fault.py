@@ -61,6 +61,7 @@ def test_it_is_written_as_it_is_told(told):
     assert any("Validation data" in note for note in answer.notes)
 
 
+@pytest.mark.slow
 def test_nothing_is_added_before_the_measurement_is_corrected(told):
     found = told[1].explanation
     assert to_add(found) is None and "correct them first" in nothing_added(found)

@@ -145,6 +145,7 @@ def test_a_candidate_with_a_grid_changes_held_out_data_by_differences(frfs):
         )
 
 
+@pytest.mark.slow
 def test_a_candidate_that_fails_on_held_out_data_is_left_out_there(frfs, monkeypatch):
     (explanation, adapter), own = frfs, type(frfs[1]).residuals_held_out
 

@@ -96,6 +96,7 @@ def test_an_interrupted_search_resumes_from_the_ledger(tmp_path, fit):
     pd.testing.assert_frame_equal(again.table.drop(columns="design"), whole.table.drop(columns="design"))
 
 
+@pytest.mark.slow
 def test_points_that_fail_are_left_out():
     found = bent(broken=True).calibrate(starts=2, progress=False).pareto(objectives=TWO, **SMALL)
     assert (found.of.front["a"] >= 0).all() and found.of.searched < 16 * 12

@@ -67,6 +67,7 @@ def logged(here):
     return LoadedStudy.load(plain.write(Path("plain"), LOGGED, ASKED, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
 
 
+@pytest.mark.slow
 def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
     study = LoadedStudy.load(RIG)
     space = study.search_space

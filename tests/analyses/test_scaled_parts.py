@@ -151,6 +151,7 @@ def test_wrong_parts_are_refused(parts, words):
         FunctionModel("arms", SPACE, sag, parts=parts())
 
 
+@pytest.mark.slow
 def test_the_wrong_part_of_a_function_is_proposed():
     problem = calib.Problem(model(), measurement())
     first = problem.explain([], seed=1, progress=False).propose().table.iloc[0]

@@ -190,6 +190,7 @@ def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
     assert found.answer.noise_floor == own.noise_floor
 
 
+@pytest.mark.slow
 def test_what_matters_is_selected_and_can_be_fitted():
     def lever(v):
         return {"a": v["p"] ** 3 + 0.2 * v["q"], "b": v["q"]}

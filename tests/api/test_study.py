@@ -59,6 +59,7 @@ def test_the_posterior_correlation_is_that_of_the_covariance(rig):
         assert table.loc[row["parameter_a"], row["parameter_b"]] == pytest.approx(row["correlation"])
 
 
+@pytest.mark.slow
 def test_what_is_shown_is_in_the_table(rig):
     compared, _, calibrated = rig[1]
     assert all(f"{value:.3f}" in str(compared) for value in compared.table["natural_freq_model"])

@@ -65,6 +65,7 @@ def test_the_files_are_read_as_they_were_written(table):
     assert (overlay["std"] > 0).all() and len(overlay) == 2 * LINES == 2 * len(table("frf_lines_before"))
 
 
+@pytest.mark.slow
 def test_the_comparison_agrees_with_the_functions_it_is_of(table):
     overlay, found = table("frf_before"), table("comparison_before")
     for row in found.to_dict("records"):

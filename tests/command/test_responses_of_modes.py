@@ -157,6 +157,7 @@ def test_every_parameter_matters_to_some_number(ran):
     assert set(chosen.index[chosen["selected"]]) == {"k1", "k3", "b"}
 
 
+@pytest.mark.slow
 def test_the_search_and_least_squares_end_where_a_notebook_does(ran):
     fitted = pd.read_csv(ran.of / "verdicts.csv").set_index("parameter")["value"]
     found = ran.problem.calibrate(starts=1, progress=False).values

@@ -60,6 +60,7 @@ def test_every_axis_that_matters_has_a_parameter(bogie):
     assert all((p.unit, p.value, p.prior_sd) == ("mm", 0.0, SD) for p in (e.parameter for e in found))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["place_x_1y", "place_z_2x", "place_y_4x", "place_x_3y"])
 def test_a_place_is_that_of_a_transducer_there(bogie, name):
     """Force and sensor of one name move together; what is left is of second order."""

@@ -94,6 +94,7 @@ def test_axes_of_accelerometer_and_force_at_one_point_are_turned_each_for_itself
     np.testing.assert_allclose(alone[0], np.cos(a) * along_x, rtol=1e-10)
 
 
+@pytest.mark.slow
 def test_cross_talk_adds_a_share_to_a_response_alone(bogie):
     plain = FRFProblem(bogie, empty()).functions({})
     found = FRFProblem(bogie, empty(), EVERY).functions({"cross_talk_2x_1y": 0.15})

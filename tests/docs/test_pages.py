@@ -105,6 +105,7 @@ def test_counts_are_read_as_they_are_written(monkeypatch, tmp_path, subject):
     }
 
 
+@pytest.mark.slow
 def test_every_key_has_a_description():
     whole = schema()
     for section in (whole, *whole["$defs"].values()):

@@ -40,6 +40,7 @@ def test_a_changed_file_is_not_shown(answered, file, capsys):
     assert file in told.out + told.err and "calib calibrate mast" in told.out + told.err
 
 
+@pytest.mark.slow
 def test_a_table_of_somebody_else_is_not_shown(answered):
     (FOLDER / "steps.csv").write_text("step,effect,gain\n1,mine,9.0\n")
     found = stale()

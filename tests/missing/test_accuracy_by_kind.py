@@ -34,6 +34,7 @@ def wrong(toy):
     return make
 
 
+@pytest.mark.slow
 def test_the_kind_that_is_off_is_the_one_that_is_told(wrong):
     one = wrong("shape", 20.0)  # of 0.5 %
     found = accuracy_by_kind(decide(one), one, 1)

@@ -124,6 +124,7 @@ def test_transducers_have_the_faults_of_a_modal_test(bogie):
     assert found["place_x_1y"].place == GIRDER.point and found["place_z_3y"].title == "place of sensor 3y along z"
 
 
+@pytest.mark.slow
 def test_the_place_of_every_force_is_suspected(bogie):
     """A hammer that roves: one response and a force at two other points."""
     data = of_bogie(bogie)

@@ -152,6 +152,7 @@ def test_a_place_that_explains_as_well_as_one_of_the_effects_keeps_them_unnamed(
     assert doubtful == 3
 
 
+@pytest.mark.slow
 def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
     one = toy(seed=2, effects=10, perturbations=12).correlated("E7", "E2", 0.9999)
     found = decide(one.drawn(np.random.default_rng(2), THREE))
@@ -163,6 +164,7 @@ def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
 # -- tables ------------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_the_tables_tell_every_step_and_every_rejection(toy):
     found = decide(drawn(toy, THREE, 1))
     tables = steps_tables(found, errors_of(found))
@@ -176,6 +178,7 @@ def test_the_tables_tell_every_step_and_every_rejection(toy):
     assert len(rejected) == len(found.steps.trials) > 0 and set(rejected["why"]) <= set(WHY.values())
 
 
+@pytest.mark.slow
 def test_effects_that_are_named_together_have_the_probability_of_their_model(toy):
     found = decide(drawn(toy, THREE, 1))
     table = effects_table(found, {}, {}).set_index("name")

@@ -74,6 +74,7 @@ def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
     assert found is not None and found.what == "frequency of M3" and found.ln_evidence > base.ln_evidence + 10
 
 
+@pytest.mark.slow
 def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):
     made, rng = beside(toy(), 0.0), np.random.default_rng(1)
     for _ in range(5):

@@ -151,6 +151,7 @@ def test_missing_tables_have_no_figures(folder, saved):
     ]
 
 
+@pytest.mark.slow
 def test_a_mesh_of_lines_without_sensors_has_no_figure_of_the_model(folder, saved):
     keep_only(folder, *OF_THE_MODEL)
     (folder / "shapes_after.csv").unlink()

@@ -107,6 +107,7 @@ def test_without_any_finite_interval_the_figure_says_so():
     assert "no prediction has a finite interval" in [text.get_text() for text in ax.texts]
 
 
+@pytest.mark.slow
 def test_the_page_counts_and_tells_what_the_tables_hold(tmp_path):
     made().to_csv(tmp_path / "unexplained_predictions.csv", index=False)
     ERRORS.to_csv(tmp_path / "unexplained_errors.csv", index=False)

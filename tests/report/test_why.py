@@ -132,6 +132,7 @@ def test_the_place_is_that_of_the_most_alike_perturbation_that_has_one(places):
     assert alike_words(places.assign(x=np.nan), "arb") == ""
 
 
+@pytest.mark.slow
 def test_places_are_drawn_with_their_correlation(places):
     ax = draw_alike(places, REST, effect="arb")
     (dots,) = [c for c in ax.collections if c.get_gid() == "correlation"]

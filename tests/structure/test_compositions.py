@@ -72,6 +72,7 @@ def test_a_damper_that_feeds_energy_in_has_no_mount(bogie):
         assert not list(of_mounts(model, Names(()), MIDDLE))
 
 
+@pytest.mark.slow
 def test_mounts_are_composed_of_each_damper_and_of_those_of_one_kind(bogie):
     found = list(of_mounts(bogie, Names(()), MIDDLE))
     assert [c.count for c in found] == [1] * 4 + [2] * 4 + [4]

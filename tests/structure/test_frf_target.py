@@ -124,6 +124,7 @@ def test_a_function_that_does_not_matter_asks_for_nothing(made):
     assert train(model, model.space, replace(target, std=one), seed=1).size < basis.size
 
 
+@pytest.mark.slow
 def test_derivatives_are_those_of_the_full_model(made):
     model, target, basis = made
     reduced, names = ReducedModel(model, basis), ("k_lower", "c_end", "mass")

@@ -205,6 +205,7 @@ def test_invalid_training_input_is_refused(ladder, options, words):
         train_basis(model, **arguments)
 
 
+@pytest.mark.slow
 def test_a_file_gives_back_the_same_basis(trained, tmp_path):
     model, basis = trained
     basis.save(tmp_path / "basis.npz")

@@ -109,6 +109,7 @@ def lacking(reduced, values, mode):
     return ReducedModel(reduced.model, replace(reduced.basis, vectors=basis @ rest))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damped", [True, False])
 def test_a_mode_that_the_basis_lacks_is_counted_and_solved_for(coarse, damped, monkeypatch):
     reduced = coarse(damped, True)

@@ -95,6 +95,7 @@ def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
     assert labels["sensor"].tolist() == [row.sensor for row in joint.rows]
 
 
+@pytest.mark.slow
 def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
     adapter = together(adapters_for(both.problem.study()))
     base = adapter.hypotheses.fit_problem(())

@@ -32,6 +32,7 @@ def test_every_paired_model_mode_has_its_motion(page, key):
         assert motions[str(pair["model_mode"])] == by_mode[pair["mode"]]
 
 
+@pytest.mark.slow
 def test_a_study_without_a_comparison_has_none(here, page_of):
     import shutil
     from pathlib import Path

@@ -67,6 +67,7 @@ def test_eight_modes_lie_where_they_should(nominal):
     )
 
 
+@pytest.mark.slow
 def test_first_four_modes_have_the_described_shapes(rig, nominal):
     motion, points = girder_motion(rig, nominal.shapes)
     x, z = points[:, 0], points[:, 2]
@@ -112,6 +113,7 @@ def test_elastic_blocks_govern_2bt_and_3bt_alone(steps):
         assert abs(steps["K_block"][mode]) < 0.01
 
 
+@pytest.mark.slow
 def test_rods_govern_the_wheelset_modes(steps):
     for mode in NAMES[4:]:
         assert steps["K_rod_upper"][mode] > 1.5

@@ -109,6 +109,7 @@ def test_blocks_and_rods_dissipate_as_they_store():
     assert abs(rods - 2e3 * (terms["K_rod_upper"] + terms["K_rod_lower"])).max() < 1e-9
 
 
+@pytest.mark.slow
 def test_one_corner_only(rigid):
     raised = rigid(base(), 1, {"axle_front", "box_front_left", "box_front_right"})
     springs = change("primary_uneven", {"primary_uneven": 0.25})[0]

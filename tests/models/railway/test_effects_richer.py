@@ -62,6 +62,7 @@ def test_no_matrix_is_negative_anywhere(name):
         assert la.eigvalsh(size[:, None] * full * size).min() > -1e-6
 
 
+@pytest.mark.slow
 def test_a_small_body_on_the_axis_is_the_point_mass():
     values = {"crossbar_body": 150.0, "crossbar_body_lower": 0.0, "crossbar_body_radius": 0.015}
     found = with_effect("crossbar_body").modes(values, 10).natural_freq

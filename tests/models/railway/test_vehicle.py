@@ -39,6 +39,7 @@ def moved(car, undamped, classical, name_modes):
     return change
 
 
+@pytest.mark.slow
 def test_size_is_that_of_the_case_study(car):
     structure = car.locator.frame
     assert len(structure.points) == pytest.approx(1902, rel=0.1)
@@ -118,6 +119,7 @@ def test_every_named_mode_has_the_shape_of_its_name(classical):
         assert alike > (0.5 if name == "5C" else 0.75), name
 
 
+@pytest.mark.slow
 def test_left_and_right_are_mirror_images(classical, vehicle_sensors):
     y = [(s.point, k) for k, s in enumerate(vehicle_sensors) if s.direction == "y"]
     pairs = [(k, j) for p, k in y for q, j in y if p[2] > 0 and q == (p[0], p[1], -p[2])]
@@ -128,6 +130,7 @@ def test_left_and_right_are_mirror_images(classical, vehicle_sensors):
         np.testing.assert_allclose(left[:, k], sign * right[:, k], atol=1e-6 * np.abs(left[:, k]).max())
 
 
+@pytest.mark.slow
 def test_strain_energy_lies_where_the_mode_is_measured(car, damped, which):
     def share(name, clusters):
         return car.energy_shares({}, damped.shapes[:, [which.index[name]]], clusters).sum()

@@ -78,6 +78,7 @@ def test_heavy_attachments_stand_on_nodes_at_every_density(whole, fine):
                 assert np.linalg.norm(nodes - foot, axis=1).min() < 1e-9, rbe3.name
 
 
+@pytest.mark.slow
 def test_twice_as_fine_means_a_quarter_of_every_shell(whole, fine):
     assert len(fine.structure.corners) == 4 * len(whole.structure.corners)
     frames = [np.array([m.body == "car" for m in s.members])[s.member_of] for s in (whole.structure, fine.structure)]

@@ -93,6 +93,7 @@ def test_a_free_body_in_bending_has_the_damping_ratio_that_is_asked_for(alone, r
     assert shape @ damping @ shape / (2 * mass * 2 * np.pi * 10.0) == pytest.approx(0.02)
 
 
+@pytest.mark.slow
 def test_neighbour_holds_the_rear_end_against_rising_and_lengthwise(alone, energy):
     stiffness = alone.change("neighbour_coupling", {"neighbour_coupling": 400.0})[0]
     assert energy(stiffness, alone.rigid(0, {"car"})) == pytest.approx(400e3)

@@ -49,6 +49,7 @@ def test_a_test_order_keeps_the_case_of_units_and_names(everything, folder):
         assert words in order.body
 
 
+@pytest.mark.slow
 def test_a_mode_that_an_effect_adds_and_nobody_measured_is_a_doubt(folder):
     added = json.loads((folder / "added.json").read_text())
     own = {"effect": "guy", "natural_freq": 20.0, "share": 0.8, "paired": ""}

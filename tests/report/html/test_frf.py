@@ -58,6 +58,7 @@ def test_notes_on_the_measurement_are_reported(chain, tmp_path):
     assert every.count(Words("Channel 2 was repaired.", "reported")) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("stage", ["before", "after"])
 def test_every_function_is_compared_as_in_the_table(chain, blocks, stage):
     expected = pd.read_csv(chain / f"comparison_{stage}.csv").sort_values("frac", kind="stable")

@@ -49,6 +49,7 @@ def test_the_limits_are_those_of_the_tests(everything, blocks):
     assert rows["score"][1] == f"± {fixed(norm.isf(0.01 / 2 / scores.notna().sum()), 1)}"
 
 
+@pytest.mark.slow
 def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     rows = key(everything, blocks)
     effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())

@@ -15,6 +15,7 @@ from calib.report.verification import GROUPS
 from tests.report.html.page_blocks import Picture, Table, Words, page_blocks, section_blocks
 
 
+@pytest.mark.slow
 def test_measured_modes_are_those_of_the_table(everything, read, reader):
     table = pd.read_csv(everything / "measured.csv")
     rows = read.tables["Measured modes"][1:]

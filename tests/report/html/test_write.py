@@ -203,6 +203,7 @@ def test_every_figure_has_a_text_alternative_and_a_caption(everything, read, blo
         assert {"role": "img", "aria-label": figure.alt, "class": "drawing", **more} in drawings
 
 
+@pytest.mark.slow
 def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, blocks):
     for folder in (everything, scalar):
         for caption, table in blocks(folder, Table).items():
