@@ -22,6 +22,7 @@ VIEWS = {
     "designs": ("Designs", "#table tbody tr"),
     "measurement": ("Measurement", "#space canvas"),
     "parameters": ("Parameters", "figure[data-drawn=parameters] svg"),
+    "beside": ("Correlation", ".pane:nth-child(2) .shapes[data-drawn]"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""
 COLOURS, LARGEST = (128, 32, 16), 140_000
@@ -37,10 +38,12 @@ def take(address: str, into: Path) -> None:
     with sync_playwright() as driver:
         opened = driver.chromium.launch(executable_path=browser, args=OPTIONS)
         page = opened.new_page(viewport={"width": 1440, "height": 900}, color_scheme="light")
-        page.set_default_timeout(120_000)
+        page.set_default_timeout(900_000)
         page.goto(address)
         for name, (title, drawn) in VIEWS.items():
             page.get_by_role("link", name=title, exact=True).click()
+            if name == "beside":  # the version with the cause
+                page.get_by_label("Beside").select_option(index=1)
             page.locator(drawn).first.wait_for(state="attached")
             page.wait_for_timeout(1500)
             path = into / f"workbench_{name}.png"

@@ -235,6 +235,7 @@ def explain(
     results: ResultsPath = RESULTS,
     workers: Workers = None,
     executor: ExecutorName = None,
+    quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
 ) -> None:
@@ -243,7 +244,7 @@ def explain(
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with loaded_study("explain", study, results, verbose, workers, cache=cache, executor=executor) as loaded:
+    with loaded_study("explain", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
         loaded.explain()
 
 
@@ -252,6 +253,7 @@ def propose(
     study: StudyPath,
     rank: Annotated[int, typer.Option("--rank", min=1, max=20, metavar="N", help="Proposals that are written.")] = 5,
     results: ResultsPath = RESULTS,
+    quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
 ) -> None:
@@ -260,7 +262,7 @@ def propose(
     Changed parts, masses, hung masses, springs, dampers and joints are composed from the local perturbations, fitted
     and ranked. The best are written as code, in a study among the results that has them in its library.
     """
-    with loaded_study("propose", study, results, verbose, cache=cache) as loaded:
+    with loaded_study("propose", study, results, verbose, quick=quick, cache=cache) as loaded:
         loaded.propose(rank)
 
 

@@ -9,7 +9,7 @@ import typer
 
 from calib.command import terminal
 from calib.command.loaded import loaded_study
-from calib.command.options import ResultsPath, Verbose, possible
+from calib.command.options import Quick, ResultsPath, Verbose, possible
 from calib.errors.errors import InputError
 from calib.results.results import RESULTS
 
@@ -37,6 +37,7 @@ def compare(
     undamped: Annotated[
         bool, typer.Option("--undamped", help="Also the frequencies of stiffness and mass alone.")
     ] = False,
+    quick: Quick = False,
     verbose: Verbose = False,
 ) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails.
@@ -59,5 +60,5 @@ def compare(
         return
     if study is None:
         raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
-    with loaded_study("compare", possible(study), results, verbose) as loaded:
+    with loaded_study("compare", possible(study), results, verbose, quick=quick) as loaded:
         loaded.compare(undamped=undamped)

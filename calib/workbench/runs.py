@@ -21,9 +21,9 @@ from calib.results.running import notes_in
 from calib.workbench.studies import KnownStudy, Studies, is_within
 
 OPTIONS: Mapping[str, tuple[str, ...]] = {
-    "compare": (), "sensitivity": ("quick", "workers", "method"), "explain": ("workers",),
+    "compare": ("quick",), "sensitivity": ("quick", "workers", "method"), "explain": ("quick", "workers"),
     "calibrate": ("quick", "workers", "case", "method"), "intervals": ("quick", "workers"),
-    "run": ("quick", "workers"), "report": (), "propose": (), "again": ("workers",),
+    "run": ("quick", "workers"), "report": (), "propose": ("quick",), "again": ("workers",),
     "pareto": ("quick", "workers"), "refine": ("quick", "workers"), "robustness": ("quick", "workers"),
 }  # fmt: skip
 """Commands that the page may start, with the options that it may give."""

@@ -29,7 +29,8 @@ _GENERATIONS = (
 )
 _LASTS = f"SELECT MAX(history.id) {_OF_GENERATIONS}"
 _POINT = (
-    "SELECT names.names, evaluation.responses FROM evaluation JOIN names ON names.id = evaluation.response_names"
+    "SELECT p.names, evaluation.parameters, r.names, evaluation.responses FROM evaluation"
+    " JOIN names AS p ON p.id = evaluation.parameter_names JOIN names AS r ON r.id = evaluation.response_names"
     " WHERE state = ? AND key = ? AND status = 'ok' ORDER BY attempt DESC LIMIT 1"
 )
 
@@ -110,15 +111,17 @@ class LedgerReader:
         """Rows of evaluations when it was last read."""
         return self._evaluations
 
-    def point(self, run: SearchRun) -> dict[str, float]:
-        """Responses at the best point of a search; empty where they cannot be read."""
+    def point(self, run: SearchRun) -> tuple[dict[str, float], dict[str, float]]:
+        """Parameters and responses of the best point of a search; empty where they cannot be read."""
         _, key, state = run.best
         try:
             with closing(self._connected()) as database:
                 row = database.execute(_POINT, (state, key)).fetchone()
-            return {} if row is None else unpacked(json.loads(row[0]), row[1])
+            if row is None:
+                return {}, {}
+            return unpacked(json.loads(row[0]), row[1]), unpacked(json.loads(row[2]), row[3])
         except (OSError, sqlite3.Error, ValueError):
-            return {}
+            return {}, {}
 
     def _connected(self) -> sqlite3.Connection:
         # Without a log beside it nobody writes: then no file is made beside it either.

@@ -26,7 +26,8 @@ def search_view(reader: LedgerReader, results: StudyResults, since: int) -> dict
     dict
         ``cases``: of each search ``case, name, generations`` (``generation, best, mean``; those from ``since`` on, of
         which the first replaces what the page has from there), and counts. ``last``: the row to name next.
-        ``best``: the best design's errors. ``earlier``: searches of other states. ``evaluations``.
+        ``best``: the best design's errors, its ``values``, and its ``worst`` mode (of the lowest MAC).
+        ``earlier``: searches of other states. ``evaluations``.
     """
     runs = reader.read()
     latest = latest_of_cases(runs)
@@ -53,8 +54,12 @@ def _case(run: SearchRun, since: int) -> dict[str, Any]:
 def _best(reader: LedgerReader, run: SearchRun, results: StudyResults) -> dict[str, Any]:
     """The best design of all cases beside the nominal model, mode by mode; without modes its misfit alone."""
     before = results.compared("before")
-    rows = [] if before is None else _modes(reader.point(run), before)
-    return {"case": run.case, "misfit": significant(run.best[0], 4), "rows": rows}
+    values, responses = reader.point(run)
+    rows = [] if before is None else _modes(responses, before)
+    known = {row["mode"]: responses.get(f"mac_{row['mode']}", math.nan) for row in rows}
+    known = {mode: mac for mode, mac in known.items() if math.isfinite(mac)}
+    worst = min(known, key=lambda mode: known[mode], default="")
+    return {"case": run.case, "misfit": significant(run.best[0], 4), "rows": rows, "values": values, "worst": worst}
 
 
 def _modes(responses: dict[str, float], before: Any) -> list[dict[str, str]]:

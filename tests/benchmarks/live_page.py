@@ -55,10 +55,22 @@ class Designs:
 
     def __init__(self, folder: Path):
         write_example(folder / "building", "modes")
-        command = [sys.executable, "-m", "calib", "calibrate", "building", "--method", "genetic", "--workers", "1"]
+        command = [
+            sys.executable,
+            "-m",
+            "calib",
+            "calibrate",
+            "building",
+            "--quick",
+            "--method",
+            "genetic",
+            "--workers",
+            "1",
+        ]
         subprocess.run(command, cwd=folder, check=True, capture_output=True)
         home = folder / "results/building"
-        self.case, self.run = next(iter(json.loads((home / "summary.json").read_text())["searches"].items()))
+        (summary,) = home.rglob("summary.json")
+        self.run = next(iter(json.loads(summary.read_text())["searches"].values()))
         self.ledger = Ledger.open(home / "ledger.sqlite")
         self.state = self.ledger.searched(self.run)
         history = self.ledger.history(self.run)

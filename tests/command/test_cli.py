@@ -119,6 +119,7 @@ def test_run_does_every_analysis_and_writes_the_documented_files(whole):
 def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     assert cli.execute(["calibrate", "mast", "--workers", "1"]) == 0
     whole = {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")}
+    assert cli.execute(["compare", "mast", "--quick"]) == 0
     assert cli.execute(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
     assert cli.execute(["calibrate", "mast", "--case", "A2", "--workers", "1"]) == 0
     assert {p.name: p.read_bytes() for p in Path("results/mast").glob("*.csv")} == whole
@@ -131,6 +132,7 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     again = json.loads(Path("results/mast/case_A2/summary.json").read_text())
     assert again["evaluations"] == again["cases"]["A2"]["evaluations"] > 0
     assert Path("results/mast/quick/summary.json").exists()
+    assert Path("results/mast/quick/comparison_before.csv").exists()
 
 
 @pytest.mark.slow

@@ -7,8 +7,9 @@ import time
 from pathlib import Path
 
 import pytest
+import typer
 
-from calib.command import example
+from calib.command import cli, example
 from calib.errors.errors import InputError
 from calib.results.running import RunningNote
 from calib.workbench import runs
@@ -76,6 +77,15 @@ def test_a_command_has_the_arguments_of_its_options(study, commands):
     found = ended(own, study)
     assert found["state"] == "done"
     assert found["command"] == "calib calibrate mast --results results --quick --case C1 --workers 2"
+
+
+def test_commands_have_the_options_that_the_page_gives_and_write_where_it_looks():
+    known = typer.main.get_command(cli.app).commands
+    for verb, options in runs.OPTIONS.items():
+        assert set(options) <= {name.lstrip("-") for one in known[verb].params for name in one.opts}, verb
+        assert "quick" in options or verb in ("report", "again"), (
+            verb
+        )  # those of a quick run stand in a folder of their own
 
 
 def test_one_that_fails_says_what_it_said(study, commands):

@@ -71,7 +71,7 @@ def test_the_best_point_is_that_of_the_lowest_misfit(ledger, path):
     ledger.record(RUN, "f", 1, individuals(4.0, 2.0, 3.0))
     reader = LedgerReader(path)
     (run,) = reader.read()
-    assert reader.point(run) == {"y": 20.0} and reader.evaluations == 3
+    assert reader.point(run) == ({"x": 2.0}, {"y": 20.0}) and reader.evaluations == 3
 
 
 def test_of_a_case_the_latest_search_is_shown(ledger, path):

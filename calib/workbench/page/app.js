@@ -21,7 +21,7 @@ class Page {
     this.live = { studies: {} };
     this.panes = [];
     this.asked = {};
-    this.quick = localStorage.getItem("calib-quick") === "yes";
+    this.quick = false;
     this.theme(localStorage.getItem("calib-theme") || (matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light"));
     addEventListener("hashchange", () => this.route());
     this.connect();
@@ -51,6 +51,7 @@ class Page {
     if (!known) return this.list();
     const [name, , View] = VIEWS.find(([own]) => own === view) ?? VIEWS[0];
     const part = given.get("part") ?? known.part ?? "", besidePart = given.get("beside_part") ?? beside?.part ?? "";
+    if (key !== this.asked.key || part !== this.asked.part) this.quick = part.startsWith("quick");  // as what is shown was made
     this.asked = { key, view: name, part, test, beside: beside?.key ?? "", beside_part: besidePart };
     const shown = [{ key, part, test }, ...(beside ? [{ key: beside.key, part: besidePart, test }] : [])];
     const place = JSON.stringify([name, shown]);

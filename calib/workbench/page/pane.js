@@ -78,6 +78,7 @@ export class Pane {
   knows(known) {
     this.known = known;
     const { page } = this, own = page.panes[0] === this ? "part" : "beside_part";
+    if (this.wanted === this.part) this.wanted = undefined;
     if (this.wanted !== undefined && known.parts.includes(this.wanted)) {
       page.go({ [own]: this.wanted });
       return;
@@ -102,7 +103,7 @@ export class Pane {
 
   async give(verb, options) {
     await this.ordered("run", { verb, options }, `Started: calib ${verb}`);
-    if (options.quick && this.part !== "quick") this.wanted = "quick";
+    if (this.page.quickVerbs.includes(verb)) this.wanted = options.quick ? "quick" : "";  // where its results will be
   }
 
   async add(effects) {
@@ -127,10 +128,7 @@ export class Pane {
   }
 
   quickly() {
-    const box = h("input", { type: "checkbox", checked: this.page.quick, onchange: () => {
-      this.page.quick = box.checked;
-      localStorage.setItem("calib-quick", box.checked ? "yes" : "no");
-    } });
+    const box = h("input", { type: "checkbox", checked: this.page.quick, onchange: () => { this.page.quick = box.checked; } });
     return h("label", { class: "small soft", title: "Small searches, to see whether a study works; their results stand apart" }, box, " quick run");
   }
 }

@@ -1,7 +1,10 @@
 // The searches as they run: curves of all cases, and the best design's errors as they fall.
 import { afterFailure, bar } from "./app.js";
 import { Chart, COLOURS } from "./chart.js";
-import { ask, figure, h, lasting, panel, table } from "./dom.js";
+import { ask, change, figure, h, lasting, panel, table } from "./dom.js";
+import { Shapes } from "./shapes.js";
+
+const WAIT = 1000;  // milliseconds between two looks while the model is read
 
 export class Search {
   constructor(page, place) {
@@ -11,16 +14,18 @@ export class Search {
     this.legend = h("ul", { class: "legend" });
     this.counts = h("div", {});
     this.best = h("div", {});
+    this.worst = h("section", { class: "panel", id: "worst", hidden: true });
     this.after = h("div", { class: "stack" });
     this.failed = h("div", {});
     this.body = h("div", { class: "grid search" },
       h("div", { class: "stack" }, panel("", this.head, this.chart.element, this.legend), this.after),
-      h("div", { class: "stack" }, panel("Cases", this.counts), panel("Best design so far", this.best)));
+      h("div", { class: "stack" }, panel("Cases", this.counts), panel("Best design so far", this.best), this.worst));
     this.ticking = setInterval(() => this.clock(), 1000);
   }
 
   close() {
     clearInterval(this.ticking);
+    this.shapes?.close();
   }
 
   async look(live) {
@@ -76,6 +81,12 @@ export class Search {
       h("p", { class: "soft" }, "The first generation has not ended yet."),
     h("p", { class: "soft small" }, `${found.evaluations.toLocaleString("en")} evaluations stored${found.earlier ? `; ${found.earlier} searches of earlier states are not shown` : ""}.`));
     this.errors(found.best);
+    this.worst.hidden = !found.best?.worst;
+    if (!this.worst.hidden && !this.worst.firstChild) {
+      this.worst.replaceChildren(h("h2", {}, "Worst mode of the best design"), h("div", { class: "act" },
+        h("button", { type: "button", onclick: () => { this.watched = true; this.shape(); } }, "Show its shape"), h("span", { class: "soft small" }, "It follows the search; reading the model takes seconds.")));
+    }
+    this.shape();
     this.clock();
     this.figures(found.calibrated && !run);
   }
@@ -101,6 +112,36 @@ export class Search {
     this.best.replaceChildren(table([{ title: "mode", words: true }, "measured, Hz", "model, Hz", "error, %", "MAC"], best.rows.map((row) =>
       h("tr", {}, h("th", { scope: "row" }, row.mode), h("td", {}, row.measured), h("td", {}, row.model), both(row.error_before, row.error), both(row.mac_before, row.mac)))),
     h("p", { class: "soft small" }, `Nominal → best design, of ${best.case}, misfit ${best.misfit}, as the search computes it; least squares refine it afterwards.`));
+  }
+
+  // The worst mode's shape beside the measured one, from the model of "What if": on request, since it is read first.
+  async shape() {
+    const { best } = this.found, now = JSON.stringify([best?.values, best?.worst]);
+    if (!this.watched || this.drawing || !best?.worst || this.drawn === now) return;
+    this.drawing = true;
+    const say = (words) => this.worst.replaceChildren(h("h2", {}, "Worst mode of the best design"), h("p", { class: "soft", role: "status" }, words));
+    try {
+      const state = await ask(this.page.of("what-if"));
+      if (state.fault) throw new Error(state.fault);
+      if (state.ready) {
+        this.scene ??= (await ask(this.page.of("scene"))).scene;
+        const stage = this.scene?.stages.find((one) => one.modes.length)?.name.split(" ")[0];
+        const found = await change(this.page.of("evaluate"), { values: best.values, effects: [], mode: best.worst });
+        if (!this.page.shown) return;
+        this.shapes ??= stage ? new Shapes(this.scene) : null;
+        const shape = this.shapes?.show(stage, best.worst, found.motion), row = found.rows.find((one) => one.name === best.worst);
+        if (shape && shape.parentElement !== this.worst) this.worst.replaceChildren(h("h2", {}, "Worst mode of the best design"), shape);
+        if (shape) this.shapes.facts.textContent = `${best.worst}: MAC ${row.mac_words}, frequency ${row.error_words} %`; else say("There is no geometry to draw the shapes on.");
+        this.drawn = now;
+      } else {
+        say(`${state.stage} …`);
+        setTimeout(() => { if (this.page.shown) this.shape(); }, WAIT);
+      }
+    } catch (fault) {
+      say(fault.message);
+      this.drawn = now;
+    }
+    this.drawing = false;
   }
 
   figures(done) {
