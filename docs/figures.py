@@ -23,6 +23,7 @@ from calib.report.scene import upright
 from calib.report.style import DPI, add_heading, legend_above, style, take_dollars_literally
 from calib.report.tables import read_results
 from calib.report.worst import draw_worst
+from calib.results.answer import in_prose
 from calib.study.loading import module_of
 
 HERE = Path(__file__).resolve().parent
@@ -137,8 +138,8 @@ def before_and_after(base: Path, extended: Path) -> Figure | None:
         return None
     record = _record(base)
     (effect,) = json.loads((base / "added.json").read_text("utf-8"))["effects"]
-    name = effect["name"].replace("_", " ")
-    labels = (f"without the {name}", f"with it ({effect['value']:.3g} {effect['unit']})")
+    name = in_prose(effect["name"])
+    labels = (f"without the {name}", "with it")
     with style():
         without, having = (read_results(file, ["kind", "what"], ["in_std"]) for file in files)
         ax = draw_worst(None, without, added=having)
@@ -149,7 +150,7 @@ def before_and_after(base: Path, extended: Path) -> Figure | None:
         low, high = ax.get_xlim()
         ax.set_xticks([tick for tick in TICKS if low <= tick <= high])
         ax.xaxis.set_minor_locator(NullLocator())
-        add_heading(ax.figure, "The worst errors of the model, without and with what it lacks", record["synthetic"])
+        add_heading(ax.figure, f"The worst errors of the model, without and with the {name}", record["synthetic"])
     return ax.figure
 
 

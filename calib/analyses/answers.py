@@ -232,10 +232,10 @@ def _next(
 
 
 def _change(before: _Compared, after: _Compared) -> str:
-    label, basis = ("mean error", "") if before.comparison is None else ("mean frequency error", " (|lambda|/2pi)")
-    words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %{basis}"
+    label = "mean error" if before.comparison is None else "mean error of natural frequencies"
+    words = f"{label} {100 * before.mean_freq_error:.2f} % -> {100 * after.mean_freq_error:.2f} %"
     if not math.isnan(after.mean_mac):
-        allowed = "" if np.isnan(after.noise_mac) else f" (noise allows {after.noise_mac:.3f})"
+        allowed = "" if np.isnan(after.noise_mac) else f" (a perfect model: {after.noise_mac:.3f})"
         words += (
             f", mean {'MAC' if after.frfs is None else 'FRAC'} {before.mean_mac:.3f} -> {after.mean_mac:.3f}{allowed}"
         )

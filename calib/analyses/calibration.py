@@ -253,7 +253,7 @@ class JointCalibration:
         out = [*self.doubts, *self.any.parameter_sentences, *self.any.case_sentences, *self.notes]
         for test, answer in self.tests.items():
             before, after = answer.before.mean_freq_error, answer.best.answer.mean_freq_error
-            of = "" if answer.before.comparison is None else " of natural frequencies (|lambda|/2pi)"
+            of = "" if answer.before.comparison is None else " of natural frequencies"
             out.append(
                 of_test(test, f"mean absolute error{of} {100 * before:.2f} % before, {100 * after:.2f} % after.")
             )

@@ -165,11 +165,13 @@ def basis_of(
 
 def facts_of(study: LoadedStudy) -> MeasurementFacts:
     """The facts about a study's measurement."""
-    own = study.settings.explain
+    own, experiment = study.settings.explain, study.experiment
+    modes = experiment.modes if isinstance(experiment, ModalTest) else None
     return MeasurementFacts(
         assumed_words(study), accuracy_words(study),
         (*corrections(study), *std_notes(study), *check_repeats(study)),
         disagreements_table(study), study.held_sd, own.seed, own.samples,
+        {} if modes is None else dict(zip(modes.names, modes.natural_freq.tolist(), strict=True)),
     )  # fmt: skip
 
 

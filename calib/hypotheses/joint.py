@@ -53,6 +53,7 @@ class JointAdapter:
             held_sd={name: sd for one in facts.values() for name, sd in one.held_sd.items()},
             seed=first.seed,
             samples=first.samples,
+            freqs=first.freqs if len(facts) == 1 else {},  # a mode of several tests has several
         )
         return cls(adapters, JointHypotheses({test: adapter.hypotheses for test, adapter in adapters.items()}), of_all)
 

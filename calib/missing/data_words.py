@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 
 import pandas as pd
 
@@ -12,9 +13,31 @@ from calib.missing.local import unit_words
 from calib.missing.recommendation import rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
+from calib.results.answer import in_prose
 
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 """Groups of data that a fit has not seen, in words."""
+_OF_A_MODE = ("frequency", "damping", "shape")
+"""What a sentence names of a mode."""
+
+
+def for_readers(words: str, effects: Iterable[str], freqs: Mapping[str, float]) -> str:
+    """A text as somebody reads it who does not know the tables.
+
+    Parameters
+    ----------
+    words : str
+    effects : iterable of str
+        Identifiers of effects, which become words.
+    freqs : mapping from str to float
+        Measured frequency of each mode, Hz, which is added where the text first names the mode.
+    """
+    for name in effects:
+        words = re.sub(rf"\b{re.escape(name)}\b", in_prose(name), words) if "_" in name else words
+    for mode, freq in freqs.items():
+        named = rf"((?:mode|{'|'.join(_OF_A_MODE)} of) {re.escape(mode)})(?![\w-]|[.]\w)(?! \()"
+        words = re.sub(named, rf"\1 ({freq:.3g} Hz)", words, count=1)
+    return words
 
 
 def contradicted_words(errors: pd.DataFrame) -> list[str]:

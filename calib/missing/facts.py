@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TypeAlias
 
 import pandas as pd
@@ -32,6 +32,8 @@ class MeasurementFacts:
         Of all random numbers.
     samples : int
         Posterior samples over which the recommendation is averaged.
+    freqs : mapping from str to float
+        Measured frequency of each mode, Hz; empty without modes.
     """
 
     assumed: str
@@ -41,6 +43,7 @@ class MeasurementFacts:
     held_sd: Mapping[str, float]
     seed: int
     samples: int
+    freqs: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)

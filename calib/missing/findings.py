@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import pandas as pd
 
@@ -17,6 +18,7 @@ from calib.missing.adapter import Adapter
 from calib.missing.adequacy import contradicting
 from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit
+from calib.missing.data_words import for_readers
 from calib.missing.detailed import DetailedFit, detailed_next, detailed_sentence, detailed_tables
 from calib.missing.effect_facts import (
     FOUND_PLACES,
@@ -35,7 +37,7 @@ from calib.missing.partial import remainder_of
 from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place_table, reduction_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
-from calib.missing.recommendation import Interval, Recommendation, recommend, recommendation
+from calib.missing.recommendation import MEASURED, Interval, Recommendation, recommend, recommendation
 from calib.missing.reservations import Reservation, reservations
 from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import suspect_sentence
@@ -49,7 +51,7 @@ from calib.missing.tables import (
     pull_table,
 )
 from calib.missing.test_order import TABLE as TEST_ORDER
-from calib.missing.test_order import test_order
+from calib.missing.test_order import first_steps, test_order
 from calib.missing.verdict import NO_DOUBTS, Doubts, verdict_of
 from calib.missing.verdict_words import elsewhere, limits_sentence
 from calib.problem.joint import TEST
@@ -169,10 +171,10 @@ def findings(
     verdict = verdict_of(
         found, effects, errors, advised, facts.disagreements, facts.assumed, supposed, pointed, doubts
     )  # fmt: skip
-    at_limits = limits_sentence(found)
+    at_limits, corrected = limits_sentence(found), correction_offered(found, correctable)
     added = (
         at_limits,
-        correction_offered(found, correctable),
+        corrected,
         "" if found.faulty or found.verdict == "effect" else suspect_sentence(found.suspects),
         accuracy_sentence(accuracy, found.alpha),
         "" if by_kind is None else by_kind.sentence,
@@ -221,12 +223,17 @@ def findings(
         then=f"{_then(found, verdict.answer.then, by_kind, adapter.hypotheses)} {detailed_next(detailed)}".strip(),
     )  # fmt: skip
     answer = answer if differing is None else differing.told(answer, found.alpha, found.names_something)
-    sentences = dict.fromkeys((answer.found, *verdict.sentences, *filter(None, added)))
+    told = partial(for_readers, effects=effects["name"].tolist(), freqs=facts.freqs)
+    every = (answer.found, *verdict.sentences, *filter(None, added))
+    sentences = dict.fromkeys(one if one == corrected else told(one) for one in every)  # a line of TOML stays as it is
     return ExplanationResult(
-        found, answer, tuple(sentences), tuple(notes), effects,
+        found, replace(answer, found=told(answer.found), sure=told(answer.sure), then=told(answer.then)),
+        tuple(sentences), tuple(notes), effects,
         errors.assign(std_from="assumed" if facts.assumed else "stated"), tables, figures,
         time.perf_counter() - started, richer=detailed,
-        doubts=reservations(found, effects, pointed, facts.assumed),
+        doubts=tuple(
+            Reservation(*map(told, one)) for one in reservations(found, effects, pointed, facts.assumed)
+        ),
     )  # fmt: skip
 
 
@@ -320,5 +327,12 @@ def _next(
     }
     told = (pair[0],) if pair is not None else named or unseen
     order = test_order(table, design, told, intervals)
+    order["narrows"] = [for_readers(words, design.effects, {}) for words in order["narrows"]]
     tables = {"next_measurement": table.assign(told=table["effect"].isin(told)), TEST_ORDER: order}
-    return tables, recommendation(table, pair, unseen, named, intervals)
+    advised = recommendation(table, pair, unseen, named, intervals)
+    if advised is None or order.empty or MEASURED in advised.short:  # data that are measured already are no step
+        return tables, advised
+    purpose = "To tell them apart" if pair is not None else "To see further effects"
+    if pair is None and named:
+        purpose = "To narrow that magnitude" if len(named) == 1 else "To narrow these magnitudes"
+    return tables, replace(advised, short=first_steps(order, purpose))

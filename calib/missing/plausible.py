@@ -74,7 +74,7 @@ def _pull_words(rows: Sequence[_Pull]) -> list[str]:
     pulled_rows = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
     if len(pulled_rows) <= _NAMED:
         return [
-            f"{name} has shifted by {score:+.1f} of its expected deviation (limit {limit:.1f})"
+            f"{name} has shifted by {score:+.1f} times its expected deviation (limit {limit:.1f})"
             for name, score, limit in pulled_rows
         ]
     most = sorted(pulled_rows, key=lambda row: -abs(row[1]))[:_NAMED]

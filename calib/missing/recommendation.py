@@ -19,7 +19,7 @@ from calib.missing.rules import RULES
 
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
-_MEASURED = "measured as validation data so far"
+MEASURED = "measured as validation data so far"
 HELD_OUT = ", validation data so far"
 """End of the name of a measured mode, or of sensors, held out for verification."""
 COLUMNS = (
@@ -321,7 +321,7 @@ def _in_short(names: Sequence[str]) -> str:
     steps = []
     for held, group in groupby(names, key=_is_held_out):
         words = " or ".join(name.removesuffix(HELD_OUT) for name in group)
-        steps.append(f"let the fit use {words}, {_MEASURED}" if held else f"measure {words}")
+        steps.append(f"let the fit use {words}, {MEASURED}" if held else f"measure {words}")
     return "; or ".join(steps)
 
 
@@ -335,5 +335,5 @@ def _used_or_measured(measurements: pd.DataFrame) -> str:
     further = f"measure {words[~held].iloc[0]}" if not held.all() else ""
     if not held.iloc[0]:
         return further
-    use = f"let the fit use {words.iloc[0].replace(HELD_OUT, f', {_MEASURED}', 1)}"
+    use = f"let the fit use {words.iloc[0].replace(HELD_OUT, f', {MEASURED}', 1)}"
     return f"{use}, or {further}" if further else use

@@ -82,10 +82,10 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         "Look at the structure there before you change model or drawing. If nothing is found, list further causes.",
     )
     hidden = effects[~effects["visible"].astype(bool) & ~effects["name"].isin(found.chosen.names)]
-    unseen = [title if title == name else f"{title} ({name})" for title, name in hidden[["title", "name"]].to_numpy()]
+    unseen = hidden["title"].tolist()
     if unseen:
         more = [] if len(unseen) <= _LISTED else [f"{len(unseen) - _LISTED} more"]
         yield Reservation(
             f"Not visible in these data, whether there or not: {'; '.join([*unseen[:_LISTED], *more])}.",
-            "Measure what shows them, as the recommended measurements say.",
+            "The recommended measurements tell what would show each.",
         )

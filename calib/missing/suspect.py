@@ -174,8 +174,8 @@ def suspect_in_short(table: pd.DataFrame, named: str) -> str:
 
 def _beside(what: str, named: str, p: str = "") -> str:
     return (
-        f"Without {what} the base model would fit too{p}, but {named} explains the misfit better, by odds of more than "
-        f"{as_ratio(RULES.credible)}"
+        f"With {what} left out the model would fit as it is{p}, but {named} explains the misfit better, by odds of "
+        f"more than {as_ratio(RULES.credible)}"
     )
 
 

@@ -13,10 +13,11 @@ from calib.missing.competing import CandidateMeasurement, Excitation
 from calib.missing.local import unit_words
 from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Interval, as_ratio, rounded
 from calib.missing.rules import RULES
+from calib.results.answer import in_prose
 
 COLUMNS = (
     "step", "kind", "what", "excite", "sensors", "how", "freq_low", "freq_high", "resolution", "repeats", "effect",
-    "gain", "width_now", "width_then", "unit", "narrows",
+    "gain", "width_now", "width_then", "unit", "narrows", "best",
 )  # fmt: skip
 TABLE = "test_order"
 """Name of the table."""
@@ -59,17 +60,35 @@ def test_order(
     -------
     DataFrame
         `COLUMNS`: frequencies in Hz, widths of 95 % intervals in ``unit``; NaN where nothing is to be stated.
-        ``how`` are band, resolution and repeats in words, ``narrows`` the gain.
+        ``how`` are band, resolution and repeats in words, ``narrows`` the gain, ``best`` marks the step of the largest.
     """
     measurements = {one.name: one for one in design.measurements}
     own = table[table["effect"].isin(list(told)) & ~table["measurement"].str.endswith(HELD_OUT)]
     measure = "gain" if design.competing is None else "ln_bayes"
     own = own[own[measure] >= (RULES.worthwhile if design.competing is None else RULES.credible)]
     own = own[own["kind"].isin(_COSTS)].sort_values(measure, ascending=False, kind="stable").drop_duplicates("kind")
+    own = own.assign(best=own.index == (own.index[0] if len(own) else -1))
     own = own.assign(cost=own["kind"].map(_COSTS.index)).sort_values("cost", kind="stable")
     records = enumerate(own.to_dict("records"), 1)
-    rows = [_row(k, r, measurements[str(r["measurement"])], design, intervals) for k, r in records]
+    of_which = "" if len(told) == 1 else " of {}"
+    rows = [_row(k, r, measurements[str(r["measurement"])], design, intervals, of_which) for k, r in records]
     return pd.DataFrame(rows, columns=list(COLUMNS))
+
+
+def first_steps(order: pd.DataFrame, purpose: str) -> str:
+    """The cheapest step of a test order and, where it is another one, the best, in a sentence.
+
+    Parameters
+    ----------
+    order : DataFrame
+        From `test_order`, with at least one row.
+    purpose : str
+        What it is for, such as ``To tell them apart``.
+    """
+    steps = [f"{r['what']} ({r['narrows']})".replace("→", "->") for r in order.to_dict("records")]
+    best = int(order["best"].to_numpy(dtype=bool).argmax())
+    more = f"; the most is gained by {steps[best]}" if best else ""
+    return f"{purpose}, the cheapest is {steps[0]}{more}."
 
 
 def _row(
@@ -78,17 +97,18 @@ def _row(
     measurement: CandidateMeasurement,
     design: ExperimentalDesign,
     intervals: Mapping[str, Interval],
+    of_which: str,
 ) -> dict[str, object]:
     name, gain = str(r["effect"]), float(r["gain"])
     low, high = design.band
     row: dict[str, object] = {
         "step": number, "kind": measurement.kind, "what": measurement.name, "excite": _AS_BEFORE, "sensors": _AS_BEFORE,
         "freq_low": low, "freq_high": high, "resolution": math.nan, "repeats": design.repeats, "effect": name,
-        "gain": gain,
+        "gain": gain, "best": bool(r["best"]),
     }  # fmt: skip
     if measurement.kind == "repeats":
         more = max(2 * design.repeats, _LEAST_REPEATS)
-        row |= {"repeats": more, "what": f"the same test again: {more} repeats in all, for {design.repeats} now"}
+        row |= {"repeats": more, "what": f"the same test again, {more} repeats in all instead of {design.repeats}"}
     elif measurement.kind == "mode" and measurement.excitation is not None:
         row |= _of_mode(measurement.excitation)
         row["repeats"] = max(design.repeats, _LEAST_REPEATS)
@@ -99,7 +119,7 @@ def _row(
     elif measurement.kind == "bench":
         row |= {"excite": "", "sensors": "", "freq_low": math.nan, "freq_high": math.nan}
         row["repeats"] = _LEAST_REPEATS
-    return row | {"how": _how(row)} | _narrowing(name, gain, r, design, intervals.get(name))
+    return row | {"how": _how(row)} | _narrowing(name, gain, r, design, intervals.get(name), of_which)
 
 
 def _of_mode(found: Excitation) -> dict[str, object]:
@@ -107,7 +127,7 @@ def _of_mode(found: Excitation) -> dict[str, object]:
     at = f"({', '.join(f'{c:.2f}' for c in found.at)}) m"
     damping = found.damping if np.isfinite(found.damping) else 0.0
     by = "an impact hammer or a shaker" if damping <= _HAMMER else "a shaker and a slow sweep (damping ends an impact)"
-    hung = found.hung.replace("_", " ")
+    hung = in_prose(found.hung)
     place = f"on the {hung} itself, which hangs at {at}," if hung else f"at {at}"
     half = found.freq * max(_BAND[0], _BAND[1] * damping)
     wanted = 2 * damping * found.freq / _LINES if damping > 0 else _NARROW * found.freq
@@ -128,9 +148,14 @@ def _rounded_down(value: float) -> float:
 
 
 def _narrowing(
-    name: str, gain: float, r: Mapping[Hashable, Any], design: ExperimentalDesign, interval: Interval | None
+    name: str,
+    gain: float,
+    r: Mapping[Hashable, Any],
+    design: ExperimentalDesign,
+    interval: Interval | None,
+    of_which: str,
 ) -> dict[str, object]:
-    """What a step narrows, from and to."""
+    """What a step narrows, from and to; ``of_which`` is empty where one effect alone is told."""
     now = math.nan if interval is None else interval.high - interval.low
     unit = "" if interval is None else interval.unit
     row: dict[str, object] = {"width_now": now, "width_then": now / gain, "unit": unit}
@@ -139,7 +164,7 @@ def _narrowing(
         words = f"odds of about {odds} for the true one of {' and '.join(design.competing.names)} ({chance:.0f} % sure)"
         return row | {"width_now": math.nan, "width_then": math.nan, "narrows": words}
     if math.isfinite(now) and now > 0:
-        words = f"95 % interval of {name}: {rounded(now)} → {rounded(now / gain)}{unit_words(unit)} wide"
+        words = f"95 % interval{of_which.format(name)}: {rounded(now)} → {rounded(now / gain)}{unit_words(unit)} wide"
         return row | {"narrows": words}
     return row | {"narrows": f"{name} shows {gain:.2g} times as clearly"}
 

@@ -76,16 +76,17 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
 
 def misfit_words(found: Explanation) -> str:
     """How improbable the misfit of the base model would be if nothing were missing."""
-    return f"{_if_nothing(found)}: {family(found)}."
+    return f"{_chance_if_nothing(found)}: {family(found)}."
 
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary."""
-    return f"{_if_nothing(found)}: {family_in_short(found)}."
+    return f"{_chance_if_nothing(found)}: {family_in_short(found)}."
 
 
-def _if_nothing(found: Explanation) -> str:
-    return "If only the measurement were wrong so" if found.granted else "If nothing were missing"
+def _chance_if_nothing(found: Explanation) -> str:
+    case = "only the measurement were wrong so" if found.granted else "nothing were missing"
+    return f"Chance of such a misfit if {case}"
 
 
 def family_in_short(found: Explanation) -> str:
@@ -110,7 +111,7 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
     fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
     return (
         f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
-        f"({p_words(adequacy.p_fit)}; limit {alpha:g})."
+        f"({p_words(adequacy.p_fit)}; rejected at {alpha:g} or less)."
     )
 
 
@@ -254,7 +255,7 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
-    return f"That place comes from the list of causes; the data alone point most to {best}, {away[best]:.2g} m away."
+    return f"The list of causes gives that place; the data alone point to {best}, {away[best]:.2g} m from it."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

@@ -91,7 +91,7 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     among = f" among the {tested} causes tested" if tested > 1 else " among those listed"
     return VerdictWords(
         f"The model lacks {effect_words(effects, e)}.",
-        f"{e.name} is {probable}{among}. {misfit_in_short(found)} {with_in_short(found)}",
+        f"It is {probable}{among}. {misfit_in_short(found)} {with_in_short(found)}",
         look_for((e,)),
         (
             misfit_words(found),

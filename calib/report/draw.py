@@ -34,6 +34,7 @@ from calib.report.shapes import mode_shapes_figure
 from calib.report.style import stage_words
 from calib.report.tables import Folder, kind_of, read_results, read_square, read_stages
 from calib.report.worst import draw_worst
+from calib.results.answer import in_prose
 from calib.results.json_file import read_json
 
 _MATRICES: dict[str, tuple[str, dict[str, Any]]] = {
@@ -335,7 +336,7 @@ def added_effects(folder: Folder) -> str:
     """Names of the effects that were added after an explanation, joined by " + "; empty where there are none."""
     path = folder / "added.json"
     effects = read_json(path, {"effects": [{"name": str}]}).get("effects", []) if path.exists() else []
-    return " + ".join(str(effect["name"]) for effect in effects)
+    return " + ".join(in_prose(str(effect["name"])) for effect in effects)
 
 
 def _noise_mac(path: Path) -> float:

@@ -30,6 +30,7 @@ from calib.report.verification import (
 )
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 from calib.report.why import BY_TEST, why_figure
+from calib.results.answer import in_prose
 
 
 def plan_explanation(folder: Folder) -> Iterator[Drawing]:
@@ -47,7 +48,7 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
         folder, "pulls", ["model", "parameter"], shifts, flags=["pulled"], blank=["unit"], unbounded=["standardised"]
     )
     more = [] if pulls is None else [m for m in dict.fromkeys(pulls["model"]) if m != "base"]
-    name = more[0] if len(more) == 1 else ""
+    name = in_prose(str(more[0])) if len(more) == 1 else ""
     attempt = any(t is not None and (t["stage"] == "attempt").any() for t in (kinds, errors))
     rest = rest_lines(folder)
     if rest is not None:
@@ -151,7 +152,7 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
     sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected"])
     why = None if attempt else _read(folder, "why", ["effect"], [])
-    what = "" if why is None else " and ".join(dict.fromkeys(why["effect"])).replace("_", " ")
+    what = "" if why is None else " and ".join(map(in_prose, dict.fromkeys(why["effect"])))
     ends = ["magnitude_low", "magnitude_high"]
     effects = _read(folder, "effects", ["name"], ["magnitude"], blank=["unit"], if_there=ends)
     size = "" if effects is None or why is None else "; ".join(_sizes(effects, list(why["effect"].unique())))

@@ -17,6 +17,7 @@ from calib.report import style
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
 from calib.report.numbers import fixed, p_in_words, short
 from calib.report.svg import hover, hover_points
+from calib.results.answer import in_prose
 
 GROUPS = {
     "fit": "used in the fit",
@@ -141,7 +142,7 @@ def draw_error_steps(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         As those of `draw_error_versions`.
     """
     steps = table.rename(columns={"step": "version"}).replace({"effects": {"none": "calibrated base model"}})
-    steps["effects"] = steps["effects"].str.replace(" + ", "\n+ ", regex=False)
+    steps["effects"] = steps["effects"].map(in_prose).str.replace(" + ", "\n+ ", regex=False)
     ax = draw_error_versions(steps, ax)
     ax.set_xlabel("step, and the effects in the model")
     return ax
@@ -327,7 +328,9 @@ def _kind_handles(rows: pd.DataFrame) -> list[Artist]:
 
 def _measurement_labels(rows: pd.DataFrame) -> list[str]:
     named = zip(rows["measurement"], rows["effect"].fillna(""), strict=True)
-    return [textwrap.fill(f"{name} (for {effect})" if effect else str(name), 52) for name, effect in named]
+    return [
+        textwrap.fill(f"{name} (for {in_prose(str(effect))})" if effect else str(name), 52) for name, effect in named
+    ]
 
 
 def _next_height(rows: pd.DataFrame) -> float:

@@ -19,6 +19,7 @@ from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.scene import new_scene
 from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
 from calib.report.svg import hover, hover_points
+from calib.results.answer import in_prose
 
 MANY = {"shape": "shape", "frf": "FRFs"}
 """Kinds with too many rows for bars, in words."""
@@ -61,12 +62,12 @@ def explained_words(table: pd.DataFrame, by_test: pd.DataFrame | None = None) ->
     of_fit = [] if by_test is None else by_test[by_test["effects"] == together].to_dict("records")
     if not of_fit:
         part = percent(share(table), 0)
-        return f"To first order {together} {verb} {part} % of the sum of squares of data and priors"
+        return f"To first order {in_prose(together)} {verb} {part} % of the sum of squares of data and priors"
     (row,) = of_fit
     way = "falls" if row["after"] <= row["before"] else "rises"
     change = f"{way} from {significant(row['before'], 3)} to {significant(row['after'], 3)}"
     data = counted(int(row["rows"]), "value")
-    words = f"With {together} fitted, the sum of squares of this test's data ({data}) {change}"
+    words = f"With {in_prose(together)} fitted, the sum of squares of this test's data ({data}) {change}"
     return f"{words}: {percent(row['share'], 0)} % of the decrease over all tests" if row["share"] > 0 else words
 
 

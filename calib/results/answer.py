@@ -41,6 +41,11 @@ class Answer:
         return asdict(self)
 
 
+def in_prose(name: str) -> str:
+    """The identifier of an effect as a sentence has it, such as ``brake unit`` for ``brake_unit``."""
+    return name.replace("_", " ")
+
+
 def names_in_words(names: Sequence[str]) -> str:
     """Names in a sentence."""
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"

@@ -158,22 +158,22 @@ RIG: tuple[Parameter, ...] = (
     ),
     Parameter(
         "pos_long_left", 5.0, 2.0, 8.0, integer=True,
-        description="longitudinal position of the left actuator", symbol="Pos_le", source=_TABLE_5,
+        description="longitudinal position of the left actuator by its number", symbol="Pos_le", source=_TABLE_5,
         assumed="spacing of the positions 0.07 m",
     ),
     Parameter(
         "pos_long_right", 5.0, 2.0, 8.0, integer=True,
-        description="longitudinal position of the right actuator", symbol="Pos_ld", source=_TABLE_5,
+        description="longitudinal position of the right actuator by its number", symbol="Pos_ld", source=_TABLE_5,
         assumed="spacing of the positions 0.07 m",
     ),
     Parameter(
         "pos_lat_left", 0.0, -1.0, 1.0, integer=True,
-        description="transverse position of the left actuator", symbol="Pos_te", source=_TABLE_5,
+        description="transverse position of the left actuator by its number", symbol="Pos_te", source=_TABLE_5,
         assumed="spacing of the positions 0.03 m",
     ),
     Parameter(
         "pos_lat_right", 0.0, -1.0, 1.0, integer=True,
-        description="transverse position of the right actuator", symbol="Pos_td", source=_TABLE_5,
+        description="transverse position of the right actuator by its number", symbol="Pos_td", source=_TABLE_5,
         assumed="spacing of the positions 0.03 m",
     ),
     Parameter(

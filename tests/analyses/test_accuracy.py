@@ -121,7 +121,7 @@ def test_compare_calibrate_and_explain_weight_by_the_same_standard_deviation(mas
     weighed = pd.read_csv(results.path / "measured.csv").eval("freq_std_used / natural_freq")
     noise = json.loads((results.path / "summary.json").read_text())["noise_freq_error"]
     assert noise == pytest.approx(weighed.mean() * math.sqrt(2 / math.pi), rel=1e-6) and noise > 0.07
-    assert f"(noise allows {percent(noise)} %)" in reported_noise(results.path)
+    assert f"(a perfect model: {percent(noise)} %)" in reported_noise(results.path)
 
 
 @pytest.mark.slow
@@ -138,7 +138,7 @@ def test_an_assumed_standard_deviation_is_reported_wherever_it_is_used(mast, tmp
     assert {a.item for a in assumed_std(study)} <= items
     assert json.loads((folder / "summary.json").read_text())["std_assumed"] == answer.best.statistics.assumed
     assert json.loads((folder / "summary.json").read_text())["noise_freq_error"] is None
-    assert "noise allows" not in reported_noise(folder)
+    assert "a perfect model" not in reported_noise(folder)
     measured = pd.read_csv(folder / "measured.csv")
     assert measured["freq_std"].isna().all()
     np.testing.assert_allclose(measured["freq_std_used"], ModalResidual(study.problem).std.freq

@@ -9,6 +9,7 @@ import pytest
 from calib.missing.competing import BayesFactor, CandidateMeasurement, Excitation
 from calib.missing.recommendation import HELD_OUT, Interval
 from calib.missing.rules import RULES
+from calib.missing.test_order import first_steps
 from calib.missing.test_order import test_order as order_of
 from tests.missing.measurement_designs import SENSOR, TWICE, Told, design
 
@@ -47,10 +48,22 @@ def test_what_gains_too_little_is_no_step_and_of_a_kind_the_best_is_one():
     assert steps["kind"].tolist() == ["sensor"] and more.name in steps["sensors"][0]
 
 
+def test_the_cheapest_step_is_told_and_the_best_where_it_is_another():
+    told = first_steps(ordered(of(2.0) | {MODE.name: 4.0, TWICE.name: 1.4}), "To narrow it")
+    assert told.startswith("To narrow it, ") and told.index("20 -> 14 kg") < told.index(MODE.name) < told.index(
+        "-> 5 kg"
+    )
+    assert SENSOR.name not in told
+    (step,) = ordered({TWICE.name: 2.0}, (TWICE,)).to_dict("records")
+    alone = first_steps(ordered(of(2.0) | {TWICE.name: 9.0}), "To narrow it")
+    assert step["best"] and alone.count("kg wide") == 1 and "10 repeats" in alone
+
+
 def test_an_interval_narrows_by_the_gain():
     steps = ordered(of(2.0)).set_index("kind")
     assert steps.loc["repeats", ["width_now", "width_then", "unit"]].tolist() == [20.0, 10.0, "kg"]
-    assert "20 → 10 kg" in steps.loc["repeats", "narrows"]
+    assert "20 → 10 kg" in steps.loc["repeats", "narrows"] and "E0" not in steps.loc["repeats", "narrows"]
+    assert "of E1: " in ordered(of(2.0), told=("E0", "E1"), intervals={"E1": Interval(1, 2, "kg")})["narrows"][0]
     unknown = ordered(of(2.0), intervals={}).set_index("kind")
     assert unknown["width_then"].isna().all() and "2 times" in unknown.loc["repeats", "narrows"]
 

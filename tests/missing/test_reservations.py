@@ -5,6 +5,7 @@ from dataclasses import replace
 import pandas as pd
 import pytest
 
+from calib.missing.data_words import for_readers
 from calib.missing.reservations import reservations
 from calib.missing.tables import effects_table
 from tests.missing.verdict_cases import dressed, first
@@ -62,4 +63,13 @@ def test_invisible_effects_are_counted_beyond_six(found, effects):
         [effects, *(effects.iloc[-1:].assign(name=f"F{k}", title=f"Crack {k}", visible=False) for k in range(8))]
     )
     (doubt,) = [one.doubt for one in reservations(found, many) if "Not visible" in one.doubt]
-    assert "Crack 0 (F0); Crack 1 (F1)" in doubt and "F6" not in doubt and "2 more" in doubt
+    assert "Crack 0; Crack 1;" in doubt and "Crack 6" not in doubt and "2 more" in doubt
+
+
+def test_sentences_name_effects_in_words_and_a_mode_first_with_its_frequency():
+    freqs = {"2B": 11.04, "2B-3": 20.0, "9B": 35.5}
+    words = "Without mode 2B-3 brake_unit fits; brake_unit_freq and shape of 9B. Or mode 2B, then mode 2B. Mode 9B."
+    assert for_readers(words, ["brake_unit"], freqs) == (
+        "Without mode 2B-3 (20 Hz) brake unit fits; brake_unit_freq and shape of 9B (35.5 Hz). Or mode 2B (11 Hz), "
+        "then mode 2B. Mode 9B."
+    )

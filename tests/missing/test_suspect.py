@@ -55,7 +55,7 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     beside = suspect_sentence(table, "E1")  # an effect that is named all the same explains it better
     assert "frequency of M2" in beside and "E1 explains the misfit better" in beside and "20:1" in beside
     better = "E1 explains the misfit better, by odds of more than 20:1: check that measurement."
-    assert suspect_in_short(table, "E1") == f"Without frequency of M2 the base model would fit too, but {better}"
+    assert suspect_in_short(table, "E1") == f"With frequency of M2 left out the model would fit as it is, but {better}"
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):

@@ -97,7 +97,9 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
     asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
     words = suspect_sentence(asked.suspects, "E2")
-    assert "Without frequency of M2" in words and words in text_of(asked) and "frequency of M2" not in text_of(found)
+    assert (
+        "With frequency of M2 left out" in words and words in text_of(asked) and "frequency of M2" not in text_of(found)
+    )
     assert suspect_in_short(asked.suspects, "E2") in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 

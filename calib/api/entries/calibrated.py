@@ -241,7 +241,10 @@ def _changes(result: Calibration) -> Iterator[Rows]:
         yield pair_entries(result.best.answer, "After calibration:")
 
 
-_FREQUENCIES = {"natural": "Natural frequencies (|lambda|/2pi)", "damped": "Damped frequencies (Im lambda/2pi)"}
+_FREQUENCIES = {
+    "natural": "Natural frequencies (|lambda|/2pi of the eigenvalue lambda)",
+    "damped": "Damped frequencies (Im lambda/2pi of the eigenvalue lambda)",
+}
 
 
 def _named(row: Mapping[Any, Any], what: str) -> str:

@@ -97,7 +97,7 @@ def pair_entries(result: ComparisonResult, title: str = "", when: When = "always
         )
     heads = ("mode", "model mode", "measured Hz", "model Hz", "error", "damping %", "model %", "MAC")
     of = f"{title.removesuffix(':')}, natural" if title else "Natural"
-    return Rows.of(f"{of} frequencies (|lambda|/2pi):", heads, rows, when=when)
+    return Rows.of(f"{of} frequencies (|lambda|/2pi of the eigenvalue lambda):", heads, rows, when=when)
 
 
 def _functions(table: Iterable[Mapping[Hashable, Any]], title: str, when: When) -> Rows:

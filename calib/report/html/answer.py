@@ -16,6 +16,7 @@ from calib.report.html.cells import flagged
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, magnitude_in_words, significant, with_unit
+from calib.results.answer import in_prose
 
 _NAMED = ("effect", "indistinguishable", "two_effects", "several_effects")
 """Verdicts that name an effect."""
@@ -33,7 +34,7 @@ def names_something(results: StudyResults) -> bool:
 def place_in_words(results: StudyResults) -> str:
     """The marks of the picture of the place; empty without one."""
     found = _place(results)
-    named = [str(name).replace("_", " ") for name in results.explanation.get("chosen", [])]
+    named = [in_prose(str(name)) for name in results.explanation.get("chosen", [])]
     marks = {} if found is None else found.marks(" and ".join(named))
     return "; ".join(f"{mark}: {words}" for mark, words in marks.items())
 
@@ -63,7 +64,8 @@ class Afterwards:
     Attributes
     ----------
     table : DataFrame
-        Columns ``parameter, unit, nominal, before, before_std, value, std, identified, meaning``.
+        Columns ``parameter, unit, nominal, before, before_std, value, std, identified, meaning``; without
+        the magnitudes that `magnitudes` has.
     effects : str
         What the last model has and the first has not; empty where there is one model only.
     """
@@ -88,7 +90,10 @@ def parameters_afterwards(results: StudyResults) -> Afterwards | None:
     meaning = [str(known.get(name, {}).get("description", of_effects.get(name, ""))) for name in table["parameter"]]
     own = {str(effect["name"]) for effect in results.added.get("effects", [])} | set(effects_in_model(results))
     nominal = table["nominal"].where(~table["parameter"].isin(own))  # that of a magnitude is none
-    return Afterwards(table.assign(meaning=meaning, nominal=nominal), results.added_effects)
+    known_above = magnitudes(results)
+    told = () if known_above is None else known_above["name"].tolist()
+    table = table.assign(meaning=meaning, nominal=nominal)[~table["parameter"].isin(told)]
+    return Afterwards(table.reset_index(drop=True), results.added_effects)
 
 
 def effects_in_model(results: StudyResults) -> list[str]:
@@ -104,9 +109,9 @@ def of_extended(results: StudyResults) -> str:
     words = []
     for name in names:
         r = known.get(name)
-        size = "" if r is None else f", {with_unit(r['value'], str(r['unit']), 3)} ± {significant(r['std'], 2)}"
+        size = "" if r is None else f", about {with_unit(r['value'], str(r['unit']), 2)} (± {significant(r['std'], 1)})"
         what = f" ({meaning[name]})" if meaning.get(name) else ""
-        words.append(f"{name.replace('_', ' ')}{what}{size}")
+        words.append(f"{in_prose(name)}{what}{size}")
     return " and ".join(words)
 
 
@@ -138,7 +143,7 @@ def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
     freq = float(own["natural_freq"])
     low, high = (with_unit(freq * (1 + side * _NEAR), "Hz", 3) for side in (-1, 1))
     return (
-        f"{own['effect']} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with "
+        f"{in_prose(str(own['effect']))} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with "
         f"({fixed(100 * float(own['share']), 0)} % of its kinetic energy is in what is added).",
         f"Look for a peak between {low} and {high} in the FRFs at the place, or excite there and measure it.",
     )

@@ -23,6 +23,7 @@ from calib.report.tables import (
     read_stages,
     without_stage,
 )
+from calib.results.answer import in_prose
 from calib.results.json_file import ANY, read_json
 
 STAGES = ("before", "after")
@@ -129,7 +130,7 @@ class StudyResults:
     @property
     def added_effects(self) -> str:
         """Names of the effects that were added, joined by " + "; empty where there are none."""
-        return " + ".join(str(effect["name"]) for effect in self.added.get("effects", ()))
+        return " + ".join(in_prose(str(effect["name"])) for effect in self.added.get("effects", ()))
 
     @property
     def stages(self) -> tuple[str, ...]:

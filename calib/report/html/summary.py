@@ -10,10 +10,11 @@ from calib.report.html.answer import first_page, names_something, of_extended
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, flag, percent, significant, with_unit
+from calib.results.answer import in_prose
 
 DATA = {
     "fit": "error in fitted data",
-    "left_out": "leave-one-out error",
+    "left_out": "error of each datum, predicted from all others",
     "held_out_sensors": "error at validation sensors",
     "held_out_modes": "error in validation modes",
     "held_out_responses": "error in validation responses",
@@ -98,6 +99,9 @@ def _measured(results: StudyResults) -> list[tuple[str, str]]:
         return []
     sensors = results.sensors
     words = f"{len(table)} {name}{'s' * (len(table) != 1)}"
+    if results.kind == "modes" and len(table) > 1:
+        low, high = (significant(f(table["natural_freq"]), 3) for f in (min, max))
+        words += f" from {low} to {high} Hz"
     words += "" if sensors is None else f", {len(sensors)} sensors"
     repeats = results.record.get("repeats")
     return [("measured", words + (f", {repeats} repeats" if repeats and repeats > 1 else ""))]
@@ -109,20 +113,21 @@ def _calibrated(results: StudyResults) -> list[tuple[str, str]]:
         compared = results.compared("before")
         if compared is None or not compared["freq_error"].notna().any():
             return []
-        out = [("mean frequency error (|λ|/2π), nothing fitted", f"{percent(compared['freq_error'].abs().mean())} %")]
+        error = f"{percent(compared['freq_error'].abs().mean())} %"
+        out = [("mean error of natural frequencies, nothing fitted", error)]
         mac = compared["mac"].mean()
         return out if pd.isna(mac) else [*out, ("mean MAC, nothing fitted", fixed(mac, 3))]
-    label = "mean frequency error (|λ|/2π)" if results.kind == "modes" else "mean error"
+    label = "mean error of natural frequencies" if results.kind == "modes" else "mean error"
     criterion = "FRAC" if results.kind == "frf" else "MAC"
     errors = [figures[f"mean_freq_error_{stage}"] for stage in ("before", "after")]
     added = results.added if results.added_effects else {}
     errors += [added["mean_freq_error"]] if added else []
     more = f" → calibrated with {results.added_effects}" if added else ""
     floor = figures.get("noise_freq_error")
-    allowed = "" if floor is None else f" (noise allows {percent(floor)} %)"
+    allowed = "" if floor is None else f" (a perfect model: {percent(floor)} %)"
     out = [(f"{label}, nominal → calibrated{more}", " → ".join(f"{percent(error)} %" for error in errors) + allowed)]
     if figures.get("mean_mac_after") is not None:
-        noise = "" if figures.get("noise_mac") is None else f" (noise allows {fixed(figures['noise_mac'], 3)})"
+        noise = "" if figures.get("noise_mac") is None else f" (a perfect model: {fixed(figures['noise_mac'], 3)})"
         macs = [figures[f"mean_mac_{stage}"] for stage in ("before", "after")] + ([added["mean_mac"]] if added else [])
         out.append((f"mean {criterion}, nominal → calibrated{more}", " → ".join(fixed(mac, 3) for mac in macs) + noise))
     return [*out, *_parameters(results)]
@@ -183,9 +188,8 @@ def _explained(results: StudyResults) -> list[tuple[str, str]]:
         for r in [] if table is None else table.to_dict("records"):
             if r["name"] in explanation.get("chosen", []) and flag(r["refitted"]):
                 interval = f"{significant(r['magnitude_low'], 3)} to {significant(r['magnitude_high'], 3)}"
-                out.append(
-                    (f"magnitude of {r['name']}", f"{with_unit(r['magnitude'], str(r['unit']))} (95 %: {interval})")
-                )
+                size = f"{with_unit(r['magnitude'], str(r['unit']))} (95 %: {interval})"
+                out.append((f"magnitude of {in_prose(str(r['name']))}", size))
     known = _added_errors(results) or explanation.get("errors", {})
     if results.tests and not known:
         return [*out, *_calibrated_errors(results)]

@@ -25,6 +25,8 @@ def test_the_picture_of_the_place_is_the_first_figure_and_shows_what_is_named(ev
     (row,) = blocks(everything, Table)["How much"].rows
     told = float(re.match(r"[\d.]+", row[1].replace(" ", ""))[0])
     assert told == pytest.approx(size, rel=1e-3)
+    afterwards = blocks(everything, Table)["Parameters, calibrated without and with guy"]
+    assert "guy" not in [row[0] for row in afterwards.rows]  # its magnitude is told once
 
 
 @pytest.mark.slow
@@ -82,7 +84,7 @@ def test_the_page_of_an_extended_study_names_what_was_added_and_links_to_the_fir
     extended = StudyResults(own, f"{TITLE} + guy", True)
     summary = page_summary(extended)
     r = pd.read_csv(own / "verdicts.csv").set_index("parameter").loc["guy"]
-    assert f"guy, {with_unit(r['value'], r['unit'], 3)} ± " in summary.found
+    assert f"guy, about {with_unit(r['value'], r['unit'], 2)} (± " in summary.found
     assert (own / summary.first).resolve() == (everything / "report.html").resolve()
     assert f'href="{summary.first}"' in page(extended)
     assert page_summary(StudyResults(everything, TITLE, True)).first == ""

@@ -66,7 +66,7 @@ def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
     tables = {s: pd.read_csv(everything / f"comparison_{s}.csv") for s in ("before", "after")}
     words = [t.get_text() for t in draw_frequency_error(tables["before"], tables["after"]).get_legend().get_texts()]
     fact = dict(page_summary(results).facts)
-    (label,) = [name for name in fact if name.startswith("mean frequency error")]
+    (label,) = [name for name in fact if name.startswith("mean error of natural frequencies")]
     for stage, text in zip(tables, words, strict=True):
         number = percent(stored[f"mean_freq_error_{stage}"])
         assert percent(tables[stage]["freq_error"].abs().mean()) == number

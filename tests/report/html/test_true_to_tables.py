@@ -111,7 +111,9 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
     conclusion = json.loads((everything / "added.json").read_text("utf-8"))["conclusion"]
     assert conclusion.startswith("With the effect the model fits better and predicts ")
     assert conclusion.replace(" -> ", " → ") in top
-    assert "0.03 % (noise allows 0.16 %)" in top  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
+    assert (
+        "0.03 % (a perfect model: 0.16 %)" in top
+    )  # the standard deviation of each frequency is 0.2 %: 0.2 sqrt(2/pi)
     rms = pd.read_csv(everything / "added_errors.csv").set_index(["group", "stage"])["rms"]
     errors = [f"{rms['held_out_modes', stage]:.2f}" for stage in ("before", "after")]
     assert f"error in validation modes {errors[0]} → {errors[1]} σ" in top
