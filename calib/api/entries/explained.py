@@ -37,7 +37,7 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
     in_answer = {answer.found, answer.sure}
     rows = [_effect(r) for r in result.effects.to_dict("records")]
     heads = ("effect", "z", "evidence", "unabsorbed", "magnitude, 95 %", "smallest visible", "remark")
-    title = "Possible causes, best first:"
+    title = "Possible causes, best first (evidence: log Bayes factor against the model as it is; 3 is odds of 20 to 1):"
     brief = [tuple(cell for head, cell in zip(heads, row, strict=True) if head not in _MORE) for row in rows]
     named = [head for head in heads if head not in _MORE]
     out: list[Entry] = [
@@ -93,8 +93,8 @@ def _effect(r: Mapping[Any, Any]) -> tuple[str, ...]:
     least = ", ".join([*([least] if least else []), *([] if r["visible"] else ["not visible"])])
     ln_bayes = decimals(r["ln_bayes"], 1)
     if not r["refitted"] and ln_bayes:
-        ln_bayes = f"{ln_bayes} (linear)"
-    remark = "credible" if r["credible"] else r["implausible"]
+        ln_bayes = f"{ln_bayes} (estimate)"
+    remark = "candidate left" if r["credible"] else r["implausible"]
     magnitude = interval if r["refitted"] else ""
     return r["name"], decimals(r["z"], 1), ln_bayes, decimals(r["unabsorbed"], 2), magnitude, least, remark
 

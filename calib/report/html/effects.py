@@ -63,7 +63,7 @@ def remarks(table: pd.DataFrame) -> list[str]:
 def _remarks(r: Mapping[Hashable, Any], predicted: bool, best: Mapping[Hashable, Any] | None) -> list[str]:
     plausible = with_unit(r["plausible"], str(r["unit"]), 2)
     return [
-        "credible" if flag(r["credible"]) else "",
+        "candidate left" if flag(r["credible"]) else "",
         _behind(best, float(r["ln_bayes"])) if predicted else "",
         "" if flag(r["visible"]) else f"not visible at a plausible magnitude of {plausible}",
         str(r["implausible"]),

@@ -14,7 +14,7 @@ from calib.results.answer import in_prose
 
 DATA = {
     "fit": "error in fitted data",
-    "left_out": "error of each datum, predicted from all others",
+    "left_out": "error in data left out in turn",
     "held_out_sensors": "error at validation sensors",
     "held_out_modes": "error in validation modes",
     "held_out_responses": "error in validation responses",
