@@ -320,7 +320,7 @@ def conclusion(errors: pd.DataFrame) -> str:
         words += f", predicts {' and '.join(better)} better, {' and '.join(same)} no better"
     else:
         words += ", predicts no better"
-    words += f"; no gain beyond the noise in {' and '.join(noise)}" if noise else ""
+    words += f"; {' and '.join(noise)} stay within the noise" if noise else ""
     against = [WORDS[g] for g in contradicting(errors, "after")]
     return words + (f"; not confirmed: {' and '.join(against)} contradict it" if against else "")
 

@@ -27,6 +27,7 @@ _LEAST_REPEATS = 3
 """Repeats without which a scatter cannot be seen."""
 _HAMMER = 0.05
 """Damping ratio up to which an impact lets a mode ring long enough."""
+_IMPACT = "an impact hammer or a shaker"
 _BAND = (0.2, 3.0)
 """Half the width of the band of a mode over its frequency: at least this, and so many times its damping ratio."""
 _LINES = 5
@@ -126,7 +127,7 @@ def _of_mode(found: Excitation) -> dict[str, object]:
     """Where and with what a mode is excited, its band and the resolution that its damping asks for."""
     at = f"({', '.join(f'{c:.2f}' for c in found.at)}) m"
     damping = found.damping if np.isfinite(found.damping) else 0.0
-    by = "an impact hammer or a shaker" if damping <= _HAMMER else "a shaker and a slow sweep (damping ends an impact)"
+    by = "a shaker and a slow sweep (an impact dies out too soon)" if damping > _HAMMER else _IMPACT
     hung = in_prose(found.hung)
     place = f"on the {hung} itself, which hangs at {at}," if hung else f"at {at}"
     half = found.freq * max(_BAND[0], _BAND[1] * damping)

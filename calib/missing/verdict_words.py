@@ -93,7 +93,8 @@ def family_in_short(found: Explanation) -> str:
     """The tests of the base model, without what was tested."""
     adequacy = found.base_adequacy
     tested = sum(_counts(found)) + (0 if adequacy.pairs is None else adequacy.pairs.number)
-    return f"{p_words(adequacy.p_family)} for the largest of {tested} scores, {p_words(adequacy.p_fit)} for {WORST}"
+    clearest = f"{p_words(adequacy.p_family)} for the clearest of {tested} changes tried"
+    return f"{clearest}, {p_words(adequacy.p_fit)} for {WORST}"
 
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
