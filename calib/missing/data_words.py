@@ -35,7 +35,7 @@ def for_readers(words: str, effects: Iterable[str], freqs: Mapping[str, float]) 
     for name in effects:
         words = re.sub(rf"\b{re.escape(name)}\b", in_prose(name), words) if "_" in name else words
     for mode, freq in freqs.items():
-        named = rf"((?:mode|{'|'.join(_OF_A_MODE)} of) {re.escape(mode)})(?![\w-]|[.]\w)(?! \()"
+        named = rf"((?:mode|(?:{'|'.join(_OF_A_MODE)}) of) {re.escape(mode)})(?![\w-]|[.]\w)(?! \()"
         words = re.sub(named, rf"\1 ({freq:.3g} Hz)", words, count=1)
     return words
 

@@ -256,7 +256,7 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
-    return f"The list of causes gives that place; the data alone point to {best}, {away[best]:.2g} m from it."
+    return f"The list of causes gives the place; the data alone point to {best}, {away[best]:.2g} m from it."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

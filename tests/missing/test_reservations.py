@@ -68,8 +68,8 @@ def test_invisible_effects_are_counted_beyond_six(found, effects):
 
 def test_sentences_name_effects_in_words_and_a_mode_first_with_its_frequency():
     freqs = {"2B": 11.04, "2B-3": 20.0, "9B": 35.5}
-    words = "Without mode 2B-3 brake_unit fits; brake_unit_freq and shape of 9B. Or mode 2B, then mode 2B. Mode 9B."
+    words = "Without mode 2B-3 brake_unit fits; brake_unit_freq and damping of 9B. Or mode 2B, then mode 2B. Mode 9B."
     assert for_readers(words, ["brake_unit"], freqs) == (
-        "Without mode 2B-3 (20 Hz) brake unit fits; brake_unit_freq and shape of 9B (35.5 Hz). Or mode 2B (11 Hz), "
+        "Without mode 2B-3 (20 Hz) brake unit fits; brake_unit_freq and damping of 9B (35.5 Hz). Or mode 2B (11 Hz), "
         "then mode 2B. Mode 9B."
     )

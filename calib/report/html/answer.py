@@ -140,10 +140,10 @@ def doubts(results: StudyResults) -> list[tuple[str, str]]:
 
 
 def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
-    freq = float(own["natural_freq"])
+    freq, name = float(own["natural_freq"]), in_prose(str(own["effect"]))
     low, high = (with_unit(freq * (1 + side * _NEAR), "Hz", 3) for side in (-1, 1))
     return (
-        f"{in_prose(str(own['effect']))} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with "
+        f"{name[:1].upper()}{name[1:]} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with "
         f"({fixed(100 * float(own['share']), 0)} % of its kinetic energy is in what is added).",
         f"Look for a peak between {low} and {high} in the FRFs at the place, or excite there and measure it.",
     )
