@@ -28,6 +28,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "correlation/modal/problem.py": "_LEAST_FREQ",
     "correlation/modal/residual.py": "_LEAST_RATIO",
     "problem/degrees_of_freedom.py": "KNOWN _ZERO",
+    "problem/prior.py": "_LEAST _SAME",
     "inference/cmcf_equations.py": "RESONANT _RANK",
     "inference/constraints.py": "_EXACT",
     "inference/identify.py": "_ZERO",
@@ -126,7 +127,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "measurement/thinning.py": "DEGREE NEIGHBOURS _POWER",
     "modal_analysis/setups.py": "ROUNDS LEAST_STD",
     "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING BEYOND_LINES FARTHEST",
-    "problem/density.py": "_TAIL _NARROWEST",
+    "problem/prior.py": "_TAIL _NARROWEST",
     "problem/sampling.py": "_FEWEST _TRIES _NARROW",
     "structure/eigenproblem/compression.py": "_STEPS",
     "structure/reduction/refinement.py": "STEPS",
@@ -158,7 +159,7 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/frf.py": "_ORDER _DENSE _BLOCK _LOW_RANK",
     "structure/modal_function.py": "REMEMBERED",
     "structure/model.py": "_REMEMBERED _BYTES",
-    "structure/places.py": "_FEW",
+    "structure/places.py": "_ASIDE _FEW",
     "structure/effects/attach.py": "ENDS",
     "structure/eigenproblem/compression.py": "_WORTHWHILE",
     "structure/effects/part_compositions.py": "_FEW",
@@ -176,10 +177,10 @@ SPEED = {  # memory, time, processes; results are the same
 }
 
 WORDS = {  # lengths of lists and lines, and the levels that sentences and tables state
+    "problem/sampling.py": "DECADES",
     "missing/reservations.py": "_LISTED",
     "missing/test_order.py": "_BAND _HAMMER _LEAST_REPEATS _LINES _NARROW",
     "analyses/answers.py": "NAMED",
-    "problem/space.py": "DECADES",
     "analyses/failures.py": "SHOWN",
     "analyses/propose.py": "RANKED",
     "hypotheses/proposals/code.py": "_WIDE",

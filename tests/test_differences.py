@@ -8,8 +8,9 @@ import pytest
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
 from calib.errors.errors import EvaluationError, InputError
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.problem.differences import central_jacobian, difference
+from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
 
 WHOLE = Parameter("n", 4.0, 2.0, 8.0, integer=True)

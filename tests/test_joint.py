@@ -8,10 +8,11 @@ import pytest
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
 from calib.errors.errors import EvaluationError, InputError
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
 from calib.inference.integers import fit_mixed
 from calib.problem.joint import JointProblem, joined
+from calib.problem.prior import Prior
 from calib.problem.problem import PairProblem
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 

@@ -33,6 +33,7 @@ from calib.execution.stage import Progress, silent
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import Case
 from calib.missing.settings import too_few
+from calib.problem.sampling import wide_sentence
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -208,7 +209,7 @@ def _assembled(
         errors = errors_at(study, values, best.statistics)
         responses = every_response(study, study.model.space.values, values)
     why = why_failed()
-    told = (*notes, *filter(None, [study.search_space.wide_sentence, why]))
+    told = (*notes, *filter(None, [wide_sentence(study.search_space), why]))
     return Calibration(
         tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, told, retried, why
     )

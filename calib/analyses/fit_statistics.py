@@ -18,9 +18,9 @@ from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
 from calib.inference.cases import CaseResult
 from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table
-from calib.inference.constraints import Hold, constraint_rows, holds, multipliers
-from calib.inference.freed import freed, unabsorbed
-from calib.inference.gauss_newton import FitResult, Prior
+from calib.inference.constraints import Hold, holds, multipliers
+from calib.inference.freed import beside_data, freed, unabsorbed
+from calib.inference.gauss_newton import FitResult
 from calib.inference.identify import Identifiability, identify, posterior, prediction_interval, with_held
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
 from calib.inference.region import active_limits
@@ -32,6 +32,7 @@ from calib.missing.suspect import suspects_table
 from calib.problem.degrees_of_freedom import RULES as DOF
 from calib.problem.degrees_of_freedom import effective_dof
 from calib.problem.joint import JointProblem
+from calib.problem.prior import Prior
 from calib.problem.problem import Counts, PairProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
@@ -314,12 +315,12 @@ def statistics_of(
     ended = None if fit is None or fit.names != names else (fit.residual, fit.jacobian)
     vector, slope = ended or (problem.residual(values), problem.jacobian(values, names))
     prior_sd = Prior.of(space).widths(values, names)
-    constraints = constraint_rows(space, names, posterior(names, slope, prior_sd).covariance, held_sd)
+    constraints = beside_data(space, names, values, slope, held_sd)
     misfit, shift = float(vector @ vector), Prior.of(space).residual(values, names)
     converged = fit is not None and fit.converged
     end = At(names, values, vector, slope, prior_sd, converged)
     own_rows, held = changes_by_held(problem if near is None else near.problem, end, held_sd, near and near.nearby)
-    descent = -slope.T @ vector - shift / prior_sd
+    descent = -slope.T @ vector - shift / prior_sd - constraints.slope.T @ constraints.residual
     active = active_limits(space, names, values, multipliers(space, names, values, descent))
     mesh = terms.mesh_at(values, len(vector))
     own_held, own_constraints = held, constraints
@@ -352,7 +353,8 @@ def statistics_of(
     if isinstance(problem, JointProblem) or len(constraints.slope):
         parts = joint_parts(problem, names, vector, slope, prior_sd, shift, own_held, held_sd, own_constraints)
     return FitStatistics(
-        values=values, misfit=misfit, prior_misfit=float(shift @ shift), dof=dof, p_fit=p_fit, alpha=terms.alpha,
+        values=values, misfit=misfit, prior_misfit=float(shift @ shift + np.sum(constraints.of_priors**2)), dof=dof,
+        p_fit=p_fit, alpha=terms.alpha,
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts, active=active, held_by=held_by,

@@ -19,10 +19,11 @@ from calib.analyses.provenance.state import INTERVALS, ROBUSTNESS, SAMPLES
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
 from calib.inference.profile_likelihood import Profile, profile_likelihood, profile_table
 from calib.inference.sampled_posterior import SampledPosterior, sampled_posterior
+from calib.problem.prior import Prior
 from calib.results.answer import Answer, names_in_words
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -142,8 +143,10 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
     scaled = _Scaled(problem, statistics_at(problem, Terms.of(study), values).birge)
     # The optimum of the problem that is scanned: a reduced one ends elsewhere by its tolerance.
     whole = {p.name: values[p.name] for p in space.free if p.integer}
-    best = fit(scaled, space.freeze(whole), values, Prior.of(space))
-    known = posterior(names, best.jacobian, Prior.of(space).widths(best.values, names))
+    prior = Prior.of(space)
+    best = fit(scaled, space.freeze(whole), values, prior)
+    rows = np.vstack([best.jacobian, prior.beside(best.values, names)[1]])
+    known = posterior(names, rows, prior.widths(best.values, names))
     profiles = []
     for k, name in enumerate(chosen):
         told = _Counted(run.progress, f"profile of {name}", k, len(chosen))

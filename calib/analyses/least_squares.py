@@ -13,11 +13,12 @@ from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.inference.even_weights import EvenWeights
-from calib.inference.gauss_newton import DEFAULT, FitSettings, Prior
+from calib.inference.gauss_newton import DEFAULT, FitSettings
 from calib.inference.integers import MixedResult, fit_mixed
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, never
+from calib.problem.prior import Prior
 
 FitProgress = Callable[[int, int, float], None]
 
@@ -39,7 +40,7 @@ def criteria(problem: FitProblem, values: Mapping[str, float]) -> tuple[float, f
         vector = problem.residual(values)
     except EvaluationError:
         return math.inf, math.inf
-    own = Prior.of(problem.space).residual(values, names)
+    own = Prior.of(problem.space).rows(values, names)[0]
     return float(vector @ vector), float(own @ own)
 
 

@@ -22,10 +22,10 @@ from calib.analyses.sensitivity import evaluated, table_of
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
-from calib.inference.constraints import constraint_rows
-from calib.inference.gauss_newton import Prior
+from calib.inference.freed import beside_data
 from calib.inference.genetic import reflect
 from calib.inference.identify import posterior
+from calib.problem.prior import Prior
 from calib.problem.sampling import Narrow
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
@@ -230,7 +230,7 @@ def _points(study: AnyStudy, values: Mapping[str, float], run: RobustnessRun) ->
     shared = np.hstack([terms.mesh_at(values, len(slope)), problem.shared_errors])
     moved = np.hstack([moved, shared]) / birge
     prior = Prior.of(space).widths(values, names)
-    beside = constraint_rows(space, names, posterior(names, slope, prior).covariance, held_sd).beside(shared.shape[1])
+    beside = beside_data(space, names, values, slope, held_sd).beside(shared.shape[1])
     slope, moved = np.vstack([slope, beside.slope]), np.vstack([moved, beside.held])
     covariance = posterior(names, slope, prior).covariance
     rng, own = np.random.default_rng(run.settings.seed), study.search_space

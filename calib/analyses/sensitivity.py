@@ -23,7 +23,8 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome
 from calib.execution.stage import Progress, silent
-from calib.problem.sampling import Sample, sample
+from calib.problem.prior import Correlated
+from calib.problem.sampling import Sample, sample, wide_sentence
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
 from calib.results.ledger import Ledger
@@ -65,7 +66,7 @@ class Sensitivity:
     why_failed : str
         The commonest reasons of failure; empty without any.
     wide : str
-        See `calib.problem.space.ParameterSpace.wide_sentence`.
+        See `calib.problem.sampling.wide_sentence`.
     prognosis : Prognosis
         Metamodels of the responses, and how well they predict.
     """
@@ -125,7 +126,7 @@ def sensitivity(
     results.write_table("prognosis", answer.prognosis.table)
     results.write_table("prognosis_inputs", answer.prognosis.inputs)
     results.write_table("sensitivity_samples", answer.sampled)
-    if study.sensitivity_space.constraints:
+    if study.sensitivity_space.constraints or Correlated.of(study.sensitivity_space.free).names:
         results.write_table("input_correlation", assessment.input_correlation, index=True)
     seeds = {"samples": study.settings.sensitivity.seed}
     write_record(study, results, "sensitivity", seeds, answer.sentences, quick, answer=answer.answer)
@@ -192,7 +193,7 @@ def measured(
     floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
     why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     samples = pd.concat([x, y], axis=1)
-    unpaired, wide = len(x) - known - failed, space.wide_sentence
+    unpaired, wide = len(x) - known - failed, wide_sentence(space)
     found = metamodels or prognosis(space, x, y)
     return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide, found)
 

@@ -17,9 +17,9 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
-from calib.inference.gauss_newton import Prior
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
+from calib.problem.prior import Prior
 from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
 from calib.structure.frf import motion_factor

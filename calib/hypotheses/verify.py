@@ -18,13 +18,13 @@ from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.standard_deviations import Floors
 from calib.experiment.held_out import HeldOutGroups
 from calib.experiment.test import Residual
-from calib.inference.gauss_newton import Prior
 from calib.inference.identify import posterior, with_held
 from calib.inference.joint_part import JointPart
 from calib.inference.leave_one_out import leave_one_out
-from calib.inference.other_rows import OtherRows, none_beside
+from calib.inference.other_rows import OtherRows, rows_beside
 from calib.problem.degrees_of_freedom import KNOWN, behind, matched, p_value
 from calib.problem.joint import expand_columns
+from calib.problem.prior import Prior
 from calib.problem.problem import Pair
 from calib.problem.space import ParameterSpace
 from calib.structure.modes import Modes
@@ -183,7 +183,7 @@ def modal_errors(
     else:
         jacobian = residual.slope_of(found, names, residual.derivatives(found, names))
     jacobian = jacobian / scale
-    others = others or none_beside(len(names), len(held_sd))
+    others = rows_beside(others, len(names), len(held_sd))
     modes = [row.mode for row in residual.rows]
     at_limit = [name in active for name in names]
     predicted = leave_one_out(vector, -jacobian, prior_sd, modes, others.slope, at_limit)
@@ -242,7 +242,7 @@ def modal_covariance(
     names, prior_sd, scale, held_sd, others
         As in `modal_errors`.
     """
-    others = others or none_beside(len(names), len(held_sd))
+    others = rows_beside(others, len(names), len(held_sd))
     every = np.vstack([jacobian, -others.slope])
     held, inside = None, tuple(name for name in held_sd if name in residual.problem.model.space)
     if held_sd:
@@ -294,7 +294,7 @@ def group_errors(
     """
     unseen = {group: (e, predicted_spread(jacobian, names, prior_sd, g, others)) for group, (e, g) in held_out.items()}
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
-    others = others or none_beside(len(names), held.shape[1])
+    others = rows_beside(others, len(names), held.shape[1])
     at_limit = [name in active for name in names]
     predicted = leave_one_out(residual, -jacobian, prior_sd, list(labels), others.slope, at_limit)
     scale, dof = matched(jacobian, prior_sd, others=others.slope)
@@ -325,7 +325,7 @@ def predicted_spread(
         Derivatives of the held-out data, as given there.
     """
     jacobian, held = jacobian[:, : len(names)], jacobian[:, len(names) :]
-    others = others or none_beside(len(names), held.shape[1])
+    others = rows_beside(others, len(names), held.shape[1])
     every = np.vstack([jacobian, -others.slope])
     known = with_held(posterior(names, every, prior_sd), every, np.vstack([held, -others.held]))
     return np.hstack([g[:, : len(known)] @ _root(known), g[:, len(known) :]])

@@ -22,7 +22,7 @@ _LEVEL = 0.05
 
 
 class ConstraintRows(NamedTuple):
-    """Constraints that count as data, as rows of a whitened residual that is 0 where they are kept.
+    """Rows of a whitened residual beside the data: constraints that count as data, and correlated priors.
 
     Attributes
     ----------
@@ -30,13 +30,21 @@ class ConstraintRows(NamedTuple):
         Per unit of each fitted parameter.
     held : ndarray (n, n_held)
         Change by one standard deviation of each held parameter.
-    constraints : tuple of LinearConstraint, n
-        Those that count.
+    constraints : tuple of LinearConstraint
+        Those that count; their rows are the last ones, and 0 where they are kept.
+    of_priors : ndarray (n_correlated,)
+        The first rows, see `calib.problem.prior.Prior.beside`.
     """
 
     slope: np.ndarray
     held: np.ndarray
     constraints: tuple[LinearConstraint, ...] = ()
+    of_priors: np.ndarray = np.zeros(0)
+
+    @property
+    def residual(self) -> np.ndarray:
+        """The rows themselves, (n,)."""
+        return np.pad(self.of_priors, (0, len(self.slope) - len(self.of_priors)))
 
     @staticmethod
     def none(n_params: int, n_held: int = 0) -> ConstraintRows:

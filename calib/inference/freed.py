@@ -10,9 +10,10 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.inference.considered import MESH_ERROR, At
-from calib.inference.constraints import ConstraintRows
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.constraints import ConstraintRows, constraint_rows
+from calib.inference.gauss_newton import fit
 from calib.inference.identify import posterior
+from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
 
 
@@ -47,6 +48,19 @@ class Freed(NamedTuple):
         return self._replace(slope=own, prior_sd=np.ones(len(self.prior_sd)))
 
 
+def beside_data(
+    space: ParameterSpace, names: Sequence[str], values: Mapping[str, float], slope: np.ndarray,
+    held_sd: Mapping[str, float],
+) -> ConstraintRows:  # fmt: skip
+    """Correlated priors and constraints that count as data, beside rows of the slope (n_rows, n_params)."""
+    prior = Prior.of(space)
+    own, correlated = prior.beside(values, names)
+    known = posterior(names, np.vstack([slope, correlated]), prior.widths(values, names))
+    found = constraint_rows(space, names, known.covariance, held_sd)
+    held = np.vstack([np.zeros((len(own), len(held_sd))), found.held])
+    return ConstraintRows(np.vstack([correlated, found.slope]), held, found.constraints, own)
+
+
 def freed(
     space: ParameterSpace, at: At, held: np.ndarray, held_sd: Mapping[str, float], constraints: ConstraintRows
 ) -> Freed:
@@ -65,7 +79,7 @@ def freed(
     held_sd : mapping from str to float
         Standard deviations of the held parameters.
     constraints : ConstraintRows
-        Rows beside the data, with as many held quantities.
+        With as many held quantities.
     """
     n, rows = len(at.names), len(at.residual)
     slope, prior_sd = np.hstack([at.slope, held]), np.concatenate([at.prior_sd, np.ones(held.shape[1])])
@@ -76,7 +90,7 @@ def freed(
     wide = _widened(_with_linear_priors(space, at), values, spread, names)
     prior = Prior.of(wide)
     beside = np.hstack([constraints.slope, constraints.held])
-    pull = np.concatenate([at.residual, np.zeros(len(beside)), prior.residual(values, at.names)])
+    pull = np.concatenate([at.residual, constraints.residual, prior.residual(values, at.names)])
     if not at.fitted and n:  # what would move the parameters by itself is left out
         own = np.vstack([at.slope, constraints.slope, np.diag(1.0 / at.prior_sd)])
         pull = pull - own @ np.linalg.lstsq(own, pull, rcond=None)[0]
@@ -101,12 +115,13 @@ def unabsorbed(at: At, held: np.ndarray, constraints: ConstraintRows) -> np.ndar
 
 
 def _with_linear_priors(space: ParameterSpace, at: At) -> ParameterSpace:
-    """The space with the priors of fitted parameters as they are to first order, on linear scales."""
+    """The space with the independent priors of fitted parameters as they are to first order, on linear scales."""
     for name, sd in zip(at.names, at.prior_sd.tolist(), strict=True):
         p = space[name]
-        if p.is_log or p.prior_kind != "normal":
-            centre = at.values[name] - sd * p.pull(at.values[name])
-            space = space.replace(name, value=centre, prior_sd=sd, scale="linear", prior=None)
+        if p.is_log or p.prior_kind != "normal" or p.prior_correlation:
+            centre = at.values[name] - p.prior_width_at(at.values[name]) * p.pull(at.values[name])
+            own = {"prior_sd": sd, "prior": None, "prior_correlation": ()}
+            space = space.replace(name, value=centre, scale="linear", **own)
     return space
 
 

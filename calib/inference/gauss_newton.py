@@ -12,7 +12,8 @@ import pandas as pd
 
 from calib.errors.errors import EvaluationError, again
 from calib.inference.region import Region
-from calib.problem.space import Parameter, ParameterSpace
+from calib.problem.prior import Prior
+from calib.problem.space import ParameterSpace
 
 
 class LeastSquares(Protocol):
@@ -25,44 +26,6 @@ class LeastSquares(Protocol):
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the vector per unit of each parameter, (n_rows, n_params)."""
         ...
-
-
-@dataclass(frozen=True)
-class Prior:
-    """Independent priors of the parameters; see `calib.problem.parameter.Parameter`.
-
-    Attributes
-    ----------
-    of_parameter : mapping from str to Parameter
-        A parameter without an entry has no prior.
-    """
-
-    of_parameter: Mapping[str, Parameter]
-
-    @classmethod
-    def of(cls, space: ParameterSpace) -> Prior:
-        """Priors of the free parameters that are not integers."""
-        return cls({p.name: p for p in space.free if not p.integer})
-
-    @classmethod
-    def none(cls) -> Prior:
-        """No prior at all."""
-        return cls({})
-
-    def widths(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Standard deviations (n_params,) to first order at a point, infinite where there is no prior."""
-        known = self.of_parameter
-        return np.array([known[n].prior_width_at(values[n]) if n in known else math.inf for n in names], dtype=float)
-
-    def residual(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """``(value - centre)/sd`` of normal priors, in general `Parameter.pull`, (n_params,); 0 without a prior."""
-        known = self.of_parameter
-        return np.array([known[n].pull(values[n]) if n in known else 0.0 for n in names], dtype=float)
-
-    def slopes(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the residual by each parameter, (n_params,): 0 where a prior does not pull."""
-        free = [n not in self.of_parameter or not self.of_parameter[n].pulls for n in names]
-        return np.where(free, 0.0, 1.0 / self.widths(values, names))
 
 
 @dataclass(frozen=True)
@@ -357,7 +320,7 @@ class _Search:
         if not np.all(np.isfinite(residual)):
             self.fault = EvaluationError("the residual is not finite")
             return None
-        own = self.prior.residual(values, self.region.names)
+        own = self.prior.rows(values, self.region.names)[0]
         return _Point(x, values, residual, float(residual @ residual), float(own @ own))
 
     def slope(self, point: _Point) -> np.ndarray:
@@ -366,9 +329,8 @@ class _Search:
 
     def system(self, point: _Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side of the linearised problem over scaled parameters, prior included, in few rows."""
-        names, span = self.region.names, self.region.span_at(point.x)
-        prior = np.diag(span * self.prior.slopes(point.values, names))
-        own = self.prior.residual(point.values, names)
-        rows = np.column_stack([np.vstack([slope * span, prior]), np.concatenate([point.residual, own])])
+        span = self.region.span_at(point.x)
+        own, prior = self.prior.rows(point.values, self.region.names)
+        rows = np.column_stack([np.vstack([slope, prior]) * span, np.concatenate([point.residual, own])])
         few = np.asarray(np.linalg.qr(rows, mode="r"))  # of the same sums of squares, and solved for every damping
         return few[:, :-1], few[:, -1]

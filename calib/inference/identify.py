@@ -13,6 +13,7 @@ from scipy import special
 from calib.errors.errors import InputError
 from calib.inference.constraints import ConstraintRows
 from calib.inference.rules import RULES
+from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
 
 _ZERO = 1e-13
@@ -44,7 +45,11 @@ class Posterior:
 
 
 def posterior(
-    names: Sequence[str], jacobian: np.ndarray, prior_sd: np.ndarray, held: np.ndarray | None = None
+    names: Sequence[str],
+    jacobian: np.ndarray,
+    prior_sd: np.ndarray,
+    held: np.ndarray | None = None,
+    alone: np.ndarray | None = None,
 ) -> Posterior:
     """``V = (G^T G + diag(1/s^2))^-1`` (Laplace approximation about the optimum).
 
@@ -60,6 +65,8 @@ def posterior(
         In the same units; infinite without a prior.
     held : ndarray (n_rows, n_held), optional
         H: change of the whitened residual by one standard deviation of each held parameter.
+    alone : ndarray (n_params,), optional
+        Standard deviation of each prior by itself, of which the data's share is told, where priors are correlated.
 
     Raises
     ------
@@ -91,6 +98,7 @@ def posterior(
     covariance = scaled / np.outer(size, size)
     std = np.where(unbounded, np.inf, spread / size)
     covariance[np.diag_indices(n)] = std**2
+    s = s if alone is None else alone
     with np.errstate(invalid="ignore"):
         share = np.where(np.isfinite(s), 1.0 - (own / s) ** 2, 1.0)
     share = np.where(unbounded, 0.0, share)
@@ -282,16 +290,18 @@ def identify(
     searched : bool
         See `Identifiability`.
     constraints : ConstraintRows, optional
-        Constraints that count as data, whatever the misfit.
+        Rows beside the data, whatever the misfit; those of correlated priors must be among them.
     """
     chosen = tuple(names)
     at = dict(values or {})
-    own = (space[n].prior_width_at(at.get(n, space[n].value)) for n in chosen)
-    s = np.array(list(own) if prior_sd is None else prior_sd, dtype=float)
+    own = [space[n].prior_width_at(at.get(n, space[n].value)) for n in chosen]
+    s = np.array(own if prior_sd is None else prior_sd, dtype=float)
+    independent = Prior({n: space[n] for n in chosen}).widths({**space.values, **at}, chosen)
     g = np.atleast_2d(np.asarray(jacobian, dtype=float))
     beside = constraints or ConstraintRows.none(len(chosen), 0 if held is None else held.shape[1])
     moved = None if held is None else np.vstack([held / birge, beside.held])
-    found = posterior(chosen, np.vstack([g / birge, beside.slope]), s, moved)
+    rows = np.vstack([g / birge, beside.slope])
+    found = posterior(chosen, rows, independent if prior_sd is None else s, moved, s)
     g = np.vstack([g, beside.slope])
     span = np.array([space[n].span_at(at.get(n, space[n].value)) for n in chosen])
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)

@@ -20,7 +20,6 @@ from calib.inference.gauss_newton import (
     FitResult,
     FitSettings,
     LeastSquares,
-    Prior,
     Request,
     Step,
     finished,
@@ -30,6 +29,7 @@ from calib.inference.gauss_newton import (
 )
 from calib.inference.region import InfeasibleError, Region
 from calib.inference.starts import Enough, never
+from calib.problem.prior import Prior
 from calib.problem.space import ParameterSpace
 
 _FIRST = FitSettings(iterations=10, gain=1.0, relative=1e-3, rejections=8)

@@ -13,6 +13,7 @@ from calib.inference.constraints import ConstraintRows
 from calib.inference.identify import posterior
 from calib.inference.other_rows import OtherRows, other_rows
 from calib.problem.joint import JointProblem
+from calib.problem.prior import Prior
 from calib.problem.problem import PairProblem
 from calib.problem.space import ParameterSpace
 
@@ -67,12 +68,12 @@ def joint_parts(
     held : ndarray (n_rows, n_held), optional
         Change of the residual by one standard deviation of each of the held parameters in ``held_sd``.
     constraints : ConstraintRows, optional
-        Constraints that count as data; they are other rows to every test.
+        Rows beside the data; they are other rows to every test.
     """
     parts, held = {}, np.zeros((len(residual), len(held_sd))) if held is None else held
     beside = constraints or ConstraintRows.none(len(names), len(held_sd))
     jacobian, held = np.vstack([jacobian, beside.slope]), np.vstack([held, beside.held])
-    residual = np.concatenate([residual, np.zeros(len(beside.slope))])
+    residual = np.concatenate([residual, beside.residual])
     tests, spaces = [""] * len(problem.rows), {"": problem.space}
     if isinstance(problem, JointProblem):
         tests, spaces = [row.test for row in problem.rows], {test: part.space for test, part in problem.parts.items()}
@@ -126,14 +127,15 @@ def std_by_test(
         ``parameter, unit, test, std, prior_sd``, in the parameters' own units; a parameter that a test does not see has
         its prior width there.
     """
-    prior_sd, own = np.array([space[n].prior_width_at(values[n]) for n in names]), np.array(tests)
+    prior_sd, own = Prior.of(space).widths(values, names), np.array(tests)
+    widths = [space[n].prior_width_at(values[n]) for n in names]
     groups = {**{test: own == test for test in dict.fromkeys(tests)}, ALL_TESTS: np.ones(len(own), dtype=bool)}
     held = np.zeros((len(own), 0)) if held is None else held
     beside = constraints or ConstraintRows.none(len(names), held.shape[1])
     rows = []
     for test, kept in groups.items():
         slope, moved = (np.vstack([a[kept] / birge, b]) for a, b in ((jacobian, beside.slope), (held, beside.held)))
-        known = zip(names, posterior(names, slope, prior_sd, moved).std, prior_sd, strict=True)
+        known = zip(names, posterior(names, slope, prior_sd, moved).std, widths, strict=True)
         rows += [(name, space[name].unit, test, std, width) for name, std, width in known]
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     order = {name: k for k, name in enumerate(names)}

@@ -34,6 +34,13 @@ def none_beside(n_params: int, n_held: int = 0) -> OtherRows:
     return OtherRows(np.zeros((0, n_params)), np.zeros((0, n_held)), np.zeros(0))
 
 
+def rows_beside(others: OtherRows | None, n_params: int, n_held: int) -> OtherRows:
+    """Other rows, if any, with so many held parameters, which rows of priors do not depend on."""
+    if others is None:
+        return none_beside(n_params, n_held)
+    return others if others.held.shape[1] else others._replace(held=np.zeros((len(others.slope), n_held)))
+
+
 def other_rows(
     slope: np.ndarray,
     prior_sd: np.ndarray,

@@ -12,10 +12,11 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.inference.gauss_newton import FitSettings, LeastSquares, Prior, fit
+from calib.inference.gauss_newton import FitSettings, LeastSquares, fit
 from calib.inference.identify import Posterior
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES, WIDE
+from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
 
 ProfileClass: TypeAlias = Literal["two-sided", "one-sided", "unbounded"]
@@ -137,7 +138,7 @@ def profile_likelihood(
     with np.errstate(invalid="ignore"):  # of an infinite variance nothing follows
         follow = dict(zip(known.names, np.nan_to_num(known.covariance[:, k] / std**2).tolist(), strict=True))
     integers = {q.name: best[q.name] for q in space.free if q.integer}
-    scan = _Scan(problem, space, dict(best), follow, integers, name, step)
+    scan = _Scan(problem, space, dict(best), follow, integers, name, step, Prior.of(space))
     there = scan.at(centre, best)
     if there is None:
         raise InputError(f"the model cannot be solved at the fitted {name}", place="profile likelihood")
@@ -225,6 +226,7 @@ class _Scan:
     integers: Mapping[str, float]
     name: str
     step: Callable[[], None]
+    prior: Prior
 
     failed: list[float] = field(default_factory=list)
 
@@ -236,11 +238,13 @@ class _Scan:
             if not space.free:
                 vector = self.problem.residual({**self.best, self.name: value})
                 return _Point(value, float(vector @ vector), {**self.best, self.name: value})
-            found = fit(self.problem, space, {**start, self.name: value}, Prior.of(space), _REFIT)
+            found = fit(self.problem, space, {**start, self.name: value}, self.prior, _REFIT)
         except (EvaluationError, InfeasibleError):
             self.failed.append(value)
             return None
-        return _Point(value, found.misfit, dict(found.values))
+        # Of a correlated prior that of the parameter alone is taken out; the others follow given its value.
+        own = (self.prior.share(self.name) - 1.0) * self.space[self.name].pull(value) ** 2
+        return _Point(value, found.misfit + own, dict(found.values))
 
     def side(self, centre: _Point, limit: float, first: float) -> tuple[list[_Point], bool]:
         """Points from the optimum to a limit, or until the data exclude what lies beyond; steps along the scale."""

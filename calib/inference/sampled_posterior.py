@@ -13,6 +13,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.inference.gauss_newton import LeastSquares
 from calib.inference.identify import Posterior
 from calib.inference.rules import RULES, WIDE
+from calib.problem.prior import Prior
 from calib.problem.space import ParameterSpace
 
 EXTRA = "pip install calib[posterior]"
@@ -78,7 +79,7 @@ def sampled_posterior(
     seed: int,
     step: Callable[[], None] = lambda: None,
 ) -> SampledPosterior:
-    """Sample ``exp(-(|r|^2 + sum ((theta - centre)/sd)^2)/2)`` within limits and linear constraints.
+    """Sample ``exp(-|r|^2/2)`` times the prior within limits and linear constraints.
 
     By the affine-invariant ensemble of Goodman and Weare (2010) in emcee; walkers start about the optimum with the
     linearised covariance. Integers keep their best values.
@@ -109,7 +110,7 @@ def sampled_posterior(
             "samples of the posterior need the package emcee", place="posterior",
             remedy=f"install it: {EXTRA}",
         ) from None  # fmt: skip
-    names = list(known.names)
+    names, prior = list(known.names), Prior.of(space)
     if not names:
         raise InputError("no parameter is free", place="posterior", remedy="free at least one that is not an integer")
     chosen, failed = [space[name] for name in names], 0
@@ -129,7 +130,7 @@ def sampled_posterior(
         except EvaluationError:
             failed += 1
             return -math.inf
-        return -0.5 * float(vector @ vector) + sum(p.log_prior(values[p.name]) for p in chosen)
+        return -0.5 * float(vector @ vector) + prior.log_density(values)
 
     rng = np.random.default_rng(seed)
     walkers = max(WALKERS * len(names), 8)

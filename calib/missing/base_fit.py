@@ -7,13 +7,13 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib.errors.errors import EvaluationError
-from calib.inference.gauss_newton import Prior
 from calib.inference.starts import Optima
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.nearest_integers import nearest_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
+from calib.problem.prior import Prior
 from calib.problem.sampling import sample
 
 
@@ -29,7 +29,7 @@ def calibrated(fits: Refits, start: Mapping[str, float] | None, only: bool = Fal
     found = []
     if start is not None:
         there = {**fit_problem.space.values, **start}
-        shift = Prior.of(fit_problem.space).residual(there, fit_problem.space.free_names)
+        shift = Prior.of(fit_problem.space).rows(there, fit_problem.space.free_names)[0]
         before = float(np.sum(fit_problem.residual(there) ** 2) + shift @ shift)
         found = [fits.candidate_fit((), there)]
         if only or found[0].fit.misfit > before - RULES.rebased:

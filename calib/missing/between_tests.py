@@ -157,7 +157,7 @@ class _Apart:
         for label, (name, _) in self.own.items():
             p = joint.space[name]
             reach = p.upper - p.lower
-            own = replace(p, scale="linear", prior=None, prior_sd=p.prior_width)
+            own = replace(p, scale="linear", prior=None, prior_sd=p.prior_width, prior_correlation=())
             more.append(replace(own, name=label, value=0.0, lower=-reach, upper=reach))
         self.space = ParameterSpace((*joint.space.parameters, *more), joint.space.constraints)
 
@@ -218,7 +218,7 @@ def _freed(fit: LinearisedFit, here: LinearisedFit, chosen: Sequence[Difference]
 def _spread(here: LinearisedFit, label: str) -> tuple[float, float]:
     """Fitted value of a difference and its standard deviation."""
     k = here.names.index(label)
-    information = here.slope.T @ here.slope + np.diag(1 / here.prior_sd**2)
+    information = here.data_slope.T @ here.data_slope + np.diag(1 / here.prior_sd**2)
     return here.values[label], math.sqrt(np.linalg.inv(information)[k, k])
 
 

@@ -97,12 +97,13 @@ class JointHypotheses(JointRows):
         fit_problem = part.fit_problem(names)
         rows = [k for k, row in enumerate(self.rows) if row.test == test]
         kept = [k for k, name in enumerate(fit.names) if name in fit_problem.space]
-        held = np.zeros((len(fit.residual), 0)) if fit.shared is None else fit.shared
+        data, slope = fit.augmented[: -len(fit.names) or None], fit.data_slope
+        held = np.zeros((len(data), 0)) if fit.shared is None else fit.shared
         first = held.shape[1]
         if held_sd:
             more = -fit.fit_problem.jacobian(fit.values, tuple(held_sd)) * list(held_sd.values())
-            held = np.hstack([held, more])
-        others = other_rows(fit.slope, fit.prior_sd, fit.residual, fit.shift, rows, kept, held)
+            held = np.hstack([held, np.pad(more, ((0, len(data) - len(more)), (0, 0)))])
+        others = other_rows(slope, fit.prior_sd, data, fit.shift, rows, kept, held)
         shared = np.vstack([held[rows, :first], others.held[:, :first]])
         own = replace(
             fit,

@@ -10,7 +10,7 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.errors.errors import EvaluationError
-from calib.inference.gauss_newton import FitSettings, Prior, Step, unstepped
+from calib.inference.gauss_newton import FitSettings, Step, unstepped
 from calib.inference.gauss_newton import fit as gauss_newton
 from calib.inference.identify import Posterior, posterior, with_held
 from calib.inference.leave_one_out import LeaveOneOut, leave_one_out
@@ -19,6 +19,7 @@ from calib.inference.region import Region, active_limits
 from calib.missing.hypotheses import FitProblem
 from calib.missing.nearest_integers import other_whole
 from calib.missing.rules import RULES
+from calib.problem.prior import Prior
 
 FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
 """For the verdict. A decrease of the sum of squares by a few thousandths is negligible for it; a converging fit needs
@@ -52,8 +53,8 @@ class LinearisedFit:
     converged : bool
         Whether the fit converged; otherwise the point is no optimum and its residual no minimum.
     others : OtherRows or None
-        Of the part of a joint fit that belongs to one test: what the other tests say about its parameters. They count
-        as further rows of the data.
+        What correlated priors add (see `calib.problem.prior.Prior`) and, of the part of a joint fit that belongs to one
+        test, what the other tests say about its parameters. They count as further rows of the data.
     active : frozenset of str
         Parameters with an active limit, see `calib.inference.region.active_limits`.
     shared : ndarray (n_rows + n_others, n_errors) or None
@@ -267,6 +268,7 @@ def linearised(fit_problem: FitProblem, effects: tuple[str, ...], values: Mappin
         slope=-fit_problem.jacobian(complete, names),
         prior_sd=prior.widths(complete, names),
         shift=prior.residual(complete, names),
+        others=_correlated(prior, complete, names),
     )
 
 
@@ -282,6 +284,10 @@ def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...])
         slope = -fit_problem.jacobian(values, further)
     except EvaluationError:
         slope = np.zeros((len(fit.residual), len(further)))
+    others = fit.others
+    if others is not None:
+        wider = np.zeros((len(others.slope), len(further)))
+        others = others._replace(slope=np.hstack([others.slope, wider]))
     return replace(
         fit,
         effects=effects,
@@ -291,6 +297,7 @@ def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...])
         slope=np.hstack([fit.slope, slope]),
         prior_sd=np.concatenate([fit.prior_sd, Prior.of(space).widths(values, further)]),
         shift=np.concatenate([fit.shift, np.zeros(len(further))]),
+        others=others,
         converged=False,
     )
 
@@ -304,7 +311,9 @@ def _fitted(
     prior = Prior.of(space)
     result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
     sd, shift = prior.widths(result.values, result.names), prior.residual(result.values, result.names)
+    others = _correlated(prior, result.values, result.names)
     descent = -result.jacobian.T @ result.residual - shift / sd
+    descent += 0.0 if others is None else others.slope.T @ others.residual
     fit = LinearisedFit(
         effects=effects,
         fit_problem=fit_problem,
@@ -315,9 +324,15 @@ def _fitted(
         prior_sd=sd,
         shift=shift,
         converged=result.converged,
+        others=others,
         active=active_limits(space, result.names, result.values, descent),
     )
     return fit, result.evaluations
+
+
+def _correlated(prior: Prior, values: Mapping[str, float], names: Sequence[str]) -> OtherRows | None:
+    residual, slope = prior.beside(values, names)
+    return OtherRows(-slope, np.zeros((len(residual), 0)), residual) if len(residual) else None
 
 
 def neighbouring_integers(fit: LinearisedFit) -> list[LinearisedFit]:

@@ -10,8 +10,8 @@ import numpy as np
 import scipy.linalg as la
 
 from calib.errors.errors import EvaluationError
-from calib.inference.gauss_newton import Prior
 from calib.missing.hypotheses import FitProblem
+from calib.problem.prior import Prior
 
 _ALL_AT_ONCE = 3
 """Up to so many integer parameters are moved together (26 neighbours), more one at a time."""
@@ -29,19 +29,19 @@ def nearest_whole(fit_problem: FitProblem, start: Mapping[str, float]) -> dict[s
     complete = space.complete(dict(start))
     names = [p.name for p in space.free if not p.integer]
     prior = Prior.of(space)
-    sd, shift = prior.widths(complete, names), prior.residual(complete, names)
+    sd, (own, pulling) = prior.widths(complete, names), prior.rows(complete, names)
     predicted: dict[tuple[int, ...], float] = {}
 
     def prediction(numbers: tuple[int, ...]) -> float:
         if numbers not in predicted:
             here = {**complete, **{p.name: float(n) for p, n in zip(whole, numbers, strict=True)}}
             try:
-                slope, residual = fit_problem.jacobian(here, names) * sd, fit_problem.residual(here)
+                slope, residual = fit_problem.jacobian(here, names), fit_problem.residual(here)
             except EvaluationError:
                 predicted[numbers] = math.inf
                 return math.inf
-            matrix = np.vstack([slope, np.eye(len(names))])
-            right = np.concatenate([residual, shift])
+            matrix = np.vstack([slope, pulling]) * sd
+            right = np.concatenate([residual, own])
             basis = la.qr(matrix, mode="economic")[0]
             predicted[numbers] = float(right @ right - np.sum((basis.T @ right) ** 2))
         return predicted[numbers]

@@ -52,11 +52,15 @@ def pattern_table(found: Explanation, labels: pd.DataFrame) -> pd.DataFrame:
     -------
     DataFrame
         ``effects`` (those of the fit, joined by " + "), ``effect``, the columns of ``labels``, ``residual, signature,
-        left``; for each effect the rows of the data, then one of kind `PRIOR` for each parameter, named as a sensor.
+        left``; for each effect the rows of the data, then those of kind `PRIOR`, named as sensors: what correlated
+        priors add, and one for each parameter.
         Without rows where no effect is named or attempted.
     """
     base, named = found.base.fit, found.base_adequacy.named
-    priors = pd.DataFrame({"kind": PRIOR, "sensor": base.names}).reindex(columns=labels.columns, fill_value="")
+    count = len(base.augmented) - len(labels) - len(base.names)
+    combined = [f"correlation {k}" for k in range(1, count + 1)]
+    priors = pd.DataFrame({"kind": PRIOR, "sensor": [*combined, *base.names]})
+    priors = priors.reindex(columns=labels.columns, fill_value="")
     rows = pd.concat([labels, priors], ignore_index=True)
     parts = []
     for fit in explaining(found):

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 from calib.errors.arguments import number
 from calib.errors.errors import InputError
-from calib.problem.density import Density
+from calib.problem.prior import Density
 
 SI_FACTORS: Mapping[str, float] = {
     "-": 1.0,
@@ -102,6 +102,8 @@ class Parameter:
         ``value``; every value within the limits alike along the scale, which pulls to none; or a density tabulated
         over values in ``unit``, straight between them, whatever the factor. Default is ``"normal"`` on a linear and
         ``"log-normal"`` on a logarithmic scale.
+    prior_correlation : tuple of (str, float)
+        Correlation of its prior with those of other parameters, as `ParameterSpace.correlated` states it.
     needed : float or None
         Largest standard deviation in ``unit`` with which the parameter counts as identified; see
         `calib.inference.identify.needed_std` for the default.
@@ -138,6 +140,7 @@ class Parameter:
     needed: float | None = None
     scale: Scale = "linear"
     prior: PriorKind | Density | tuple[tuple[float, float], ...] | None = None
+    prior_correlation: tuple[tuple[str, float], ...] = ()
 
     def __post_init__(self) -> None:
         place = f"parameter {self.name}"
@@ -194,6 +197,9 @@ class Parameter:
             raise InputError(f"{what} has no place on a logarithmic scale", place=place, remedy=remedy)
 
     def _check_prior(self, place: str) -> None:
+        if self.prior_correlation and (self.integer or self.prior == "uniform"):
+            what = "an integer" if self.integer else "a uniform prior, which draws a fit to no value,"
+            raise InputError(f"{what} cannot be correlated", place=place, remedy="leave it out of the matrix")
         if self.prior is None or self.prior == "normal":
             return
         if self.integer:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtri
 
 from calib.errors.errors import InputError
+from calib.problem.prior import Correlated
 from calib.problem.space import ParameterSpace
 
+DECADES = 2.0
+"""Decades between the limits of a parameter from which it is told that uniform samples leave the lower ones out."""
 _BATCH_MAX = 50_000
 _FEWEST = 1e-4
 """Smallest acceptance rate with which sampling continues."""
@@ -130,13 +135,28 @@ def _divides(row: np.ndarray, total: float) -> np.ndarray:
     return used & (np.abs(ratios - np.round(ratios)) < 1e-9).all(axis=0)
 
 
+def _rearranged(unit: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Columns of a hypercube (n, n_columns) with the same values, whose normal scores have a matrix of correlations."""
+    count, size = unit.shape
+    if not size or count < 2:
+        return unit
+    scores = ndtri(unit)
+    if count > size:  # without the correlations that they have by chance
+        basis, triangle = np.linalg.qr(scores - scores.mean(axis=0))
+        scores = basis * np.sign(triangle.diagonal())
+    ranks = np.argsort(np.argsort(scores @ np.linalg.cholesky(matrix).T, axis=0), axis=0)
+    return np.take_along_axis(np.sort(unit, axis=0), ranks, axis=0)
+
+
 def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:
     """Draw points by Latin hypercube and keep those that meet the space's constraints.
 
     Without constraints the points are one Latin hypercube (McKay, Beckman and Conover 1979). With constraints, whole
     hypercubes are drawn until enough points are accepted; the sample is uniform over the admissible region but no
     longer a Latin hypercube, and its parameters are correlated. In equalities and other narrow constraints one
-    parameter follows from the others, see `Narrow`. Integer parameters take each value with equal probability.
+    parameter follows from the others, see `Narrow`. Integer parameters take each value with equal probability. Where
+    priors are correlated the columns of each hypercube are rearranged, so that their ranks are correlated alike (Iman
+    and Conover 1982).
 
     Parameters
     ----------
@@ -164,13 +184,15 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     space.require_feasible()
     from scipy.stats import qmc  # slow to import, and not every command samples
 
-    narrow, size = Narrow.of(space), len(space.free)
+    narrow, size, tied = Narrow.of(space), len(space.free), Correlated.of(space.free)
+    columns = [space.free_names.index(name) for name in tied.names]
     engine = qmc.LatinHypercube(size + len(narrow.pivots), rng=np.random.default_rng(seed))
     kept: list[np.ndarray] = []
     asked = accepted = 0
     batch = batch or count
     while accepted < count:
         unit = engine.random(batch)
+        unit[:, columns] = _rearranged(unit[:, columns], tied.matrix)
         points = narrow.filled(space.from_unit(unit[:, :size]), unit[:, size:])
         good = points[space.feasible(points)]
         kept.append(good)
@@ -184,3 +206,16 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
         missing = (count - accepted) * asked / max(accepted, 1)
         batch = int(np.clip(1.1 * missing, max(count, 100), _BATCH_MAX))
     return Sample(np.concatenate(kept)[:count], asked, accepted)
+
+
+def wide_sentence(space: ParameterSpace) -> str:
+    """Says which free parameters have limits that span more than `DECADES`; empty for none."""
+    spans = [(p.name, math.log10(p.upper / p.lower)) for p in space.free if 0 < p.lower and not p.integer]
+    wide = [(name, decades) for name, decades in spans if decades > DECADES and not space[name].is_log]
+    if not wide:
+        return ""
+    names = ", ".join(f"{name} span {decades:.2g} decades" for name, decades in wide)
+    return (
+        f"The limits of {names}: samples and searches between them are uniform, so that nine tenths lie in the "
+        'uppermost decade and the others are hardly seen. State scale = "log" there, or narrow the limits.'
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -16,12 +16,9 @@ from calib.errors.arguments import number, objects
 from calib.errors.errors import InputError
 from calib.problem.constraint import LinearConstraint
 from calib.problem.parameter import Parameter
+from calib.problem.prior import PLACE, correlations
 
 __all__ = ["LinearConstraint", "Parameter", "ParameterSpace", "replace_parameters"]
-
-
-DECADES = 2.0
-"""Decades between the limits of a parameter from which it is told that uniform samples leave the lower ones out."""
 
 
 @dataclass(frozen=True)
@@ -171,19 +168,6 @@ class ParameterSpace:
             ]
         )
 
-    @property
-    def wide_sentence(self) -> str:
-        """Says which free parameters have limits that span more than `DECADES`; empty for none."""
-        spans = [(p.name, math.log10(p.upper / p.lower)) for p in self.free if 0 < p.lower and not p.integer]
-        wide = [(name, decades) for name, decades in spans if decades > DECADES and not self[name].is_log]
-        if not wide:
-            return ""
-        names = ", ".join(f"{name} span {decades:.2g} decades" for name, decades in wide)
-        return (
-            f"The limits of {names}: samples and searches between them are uniform, so that nine tenths lie in the "
-            'uppermost decade and the others are hardly seen. State scale = "log" there, or narrow the limits.'
-        )
-
     # -- changes -----------------------------------------------------------------------------------------------------
 
     def replace(self, name: str, **changes: object) -> ParameterSpace:
@@ -229,6 +213,23 @@ class ParameterSpace:
             if left:
                 kept.append(replace(c, coefficients=left, lower=c.lower - held, upper=c.upper - held))
         return ParameterSpace(tuple(p for p in self.parameters if p.name not in values), tuple(kept))
+
+    def correlated(self, names: Sequence[str], matrix: Sequence[Sequence[float]]) -> ParameterSpace:
+        """Same space with the priors of some parameters correlated, by a matrix in the order of their names.
+
+        The correlations are those of the standard normal values of the priors (a Gaussian copula): of the values
+        themselves where priors are normal. Samples keep them too; a parameter that is held has none.
+
+        Raises
+        ------
+        InputError
+            For an unknown name, an integer, a uniform prior, and as `calib.problem.prior.correlations`.
+        """
+        own, space = correlations(names, matrix), self
+        for name, correlation in own.items():
+            self._require(name, PLACE)
+            space = space.replace(name, prior_correlation=correlation)
+        return space
 
     def keep(self, names: Iterable[str]) -> ParameterSpace:
         """Same space with every parameter outside ``names`` fixed at its nominal value."""

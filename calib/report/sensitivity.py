@@ -60,8 +60,8 @@ def draw_sensitivity(
         Columns ``parameter, unit, lower, upper``: the range over which each was varied, beside its name. A wide one
         outranks a narrow one of more effect.
     partial : DataFrame, optional
-        The same cells, controlled for all other parameters. A value above the threshold whose own is at most half of it
-        stands in brackets: other parameters lend it, with which a constraint correlates the parameter.
+        The same cells, controlled for all other parameters. A value above the threshold whose own is at most half of
+        it, or of the other sign, stands in brackets: other parameters lend it, which a constraint or prior correlates.
     """
     responses = [c for c in table.columns if c != "parameter"]
     kinds = list(dict.fromkeys(_kind(r)[0] for r in responses))
@@ -76,7 +76,7 @@ def draw_sensitivity(
     lent = np.zeros_like(values, dtype=bool)
     if partial is not None:
         own = partial.set_index("parameter").reindex(table["parameter"]).reindex(columns=responses)
-        lent = np.abs(own.to_numpy(dtype=float)) <= 0.5 * threshold
+        lent = own.to_numpy(dtype=float) * np.sign(values) <= 0.5 * threshold
     size = 8.0 if columns <= 12 else max(4.5, 8.0 * 13.5 / columns)
     for i, j in np.argwhere(np.isfinite(shown)):
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"
@@ -97,7 +97,8 @@ def draw_sensitivity(
     ax.grid(which="minor", color="#D0D0D0", linewidth=0.6)
     _name_groups(ax, [_kind(r)[0] for r in responses])
     blank = f"blank: |value| ≤ {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
-    blank += "; in brackets: lent by a constraint with other parameters" if (lent & np.isfinite(shown)).any() else ""
+    if (lent & np.isfinite(shown)).any():
+        blank += "; in brackets: lent by other parameters, through a constraint or prior"
     modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)

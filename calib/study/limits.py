@@ -7,6 +7,7 @@ from functools import partial
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
+from calib.problem.prior import correlations
 from calib.problem.space import LinearConstraint, ParameterSpace
 from calib.study.settings import ParameterSettings, StudySettings
 
@@ -72,7 +73,23 @@ def sensitivity_space(
             else:
                 where = place("constraints", k, *(["limits"] if c.limits[0] > c.limits[1] else []))
             raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
-    return _feasible(space, "limits", place)
+    return _feasible(_correlated(space, settings, place, lacking), "limits", place)
+
+
+def _correlated(
+    space: ParameterSpace, settings: StudySettings, place: PlaceOf, lacking: Collection[str]
+) -> ParameterSpace:
+    """The space with correlated priors; one that this model lacks stays in the matrix of the others."""
+    names, matrix = settings.prior_correlation.parameters, settings.prior_correlation.matrix
+    where = place("prior_correlation", *(["matrix"] if matrix else [])).of("[prior_correlation]")
+    try:
+        for name, own in correlations(names, matrix).items():
+            if name not in lacking:
+                where = place("prior_correlation", "parameters", names.index(name))
+                space = space.replace(name, prior_correlation=own)
+    except InputError as fault:
+        raise InputError(fault.problem, place=where, remedy=fault.remedy) from None
+    return space
 
 
 def _of_parameter(space: ParameterSpace, name: str, change: ParameterSettings, place: PlaceOf) -> Place:

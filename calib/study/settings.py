@@ -80,6 +80,15 @@ class ConstraintSettings(Section):
     """Unit of the sum."""
 
 
+class PriorCorrelationSettings(Section):
+    """``[prior_correlation]``: priors that are not independent."""
+
+    parameters: tuple[str, ...] = ()
+    """Parameters in the order of the matrix."""
+    matrix: tuple[tuple[float, ...], ...] = ()
+    """Correlations of their priors: a row and a column for each, 1 on the diagonal, positive definite."""
+
+
 class SensitivitySettings(Section):
     """``[sensitivity]``: samples of the sensitivity analysis."""
 
@@ -196,6 +205,8 @@ class StudySettings(Section):
     """Changes to parameters of the model."""
     constraints: tuple[ConstraintSettings, ...] = ()
     """Linear constraints on parameters, kept by samples and searches."""
+    prior_correlation: PriorCorrelationSettings = PriorCorrelationSettings()
+    """Correlated priors, kept by samples as well."""
     selection: tuple[str, ...] | Literal["from sensitivity"] | None = None
     """Parameters that are fitted: names, or ``"from sensitivity"``; by default every free one."""
     reduction: ReductionSettings = ReductionSettings()
@@ -289,10 +300,12 @@ class StudySettings(Section):
         """Every parameter that the file mentions, with its key."""
         selected = self.listed or ()
         adopted = () if self.adopted is None else self.adopted.parameters
+        tied = self.prior_correlation.parameters
         constrained = [(k, name) for k, c in enumerate(self.constraints) for name in c.coefficients]
         return (
             *((("parameters", name), name) for name in self.parameters),
             *((("constraints", k, "coefficients", name), name) for k, name in constrained),
+            *((("prior_correlation", "parameters", k), name) for k, name in enumerate(tied)),
             *((("adopted", "parameters", k), name) for k, name in enumerate(adopted)),
             *((("selection", k), name) for k, name in enumerate(selected)),
             *((("calibration", "begin_at", name), name) for name in self.calibration.begin_values),

@@ -11,9 +11,10 @@ from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.rules import RULES
 from calib.errors.errors import EvaluationError, InputError
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.measurement.accuracy import frf_claim
 from calib.measurement.modal import Sensor
+from calib.problem.prior import Prior
 from calib.problem.problem import PairProblem
 from calib.structure.model import StructuralModel
 from calib.study.loading import module_of

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.even_weights import EvenWeights
-from calib.inference.gauss_newton import FitSettings, Prior, fit
+from calib.inference.gauss_newton import FitSettings, fit
 from calib.inference.integers import fit_mixed
+from calib.problem.prior import Prior
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 
 

@@ -17,10 +17,11 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
 from calib.errors.errors import InputError
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.inference.identify import identify, posterior, prediction_interval
 from calib.inference.integers import fit_mixed
 from calib.inference.verdicts import identified_sentence, integer_std, parameter_verdicts
+from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
 from calib.study.study import LoadedStudy
 

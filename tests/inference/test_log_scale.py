@@ -8,14 +8,14 @@ import pytest
 from scipy import stats
 
 from calib.errors.errors import InputError
-from calib.inference.gauss_newton import FitSettings, Prior, fit
+from calib.inference.gauss_newton import FitSettings, fit
 from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.identify import identify, needed_std, posterior
 from calib.inference.profile_likelihood import profile_likelihood, profile_table
 from calib.inference.sampled_posterior import sampled_posterior
 from calib.inference.verdicts import parameter_verdicts
-from calib.problem.density import Density
 from calib.problem.differences import central_jacobian
+from calib.problem.prior import Density, Prior
 from calib.problem.sampling import sample
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from calib.sensitivity.prognosis import prognosis

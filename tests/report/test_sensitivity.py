@@ -1,5 +1,6 @@
 import numpy as np
 import pandas as pd
+import pytest
 
 from calib.report.sensitivity import draw_sensitivity
 
@@ -52,12 +53,13 @@ def test_the_range_of_a_parameter_stands_beside_its_name(sensitivity):
     assert labels[1:] == sensitivity["parameter"].astype(str).tolist()[1:]
 
 
-def test_a_value_that_other_parameters_lend_stands_in_brackets(sensitivity):
+@pytest.mark.parametrize("part", [0.02, -0.3])
+def test_a_value_that_other_parameters_lend_stands_in_brackets(sensitivity, part):
     assert "lent" not in draw_sensitivity(sensitivity, partial=sensitivity).get_xlabel()
     responses = [name for name in sensitivity.columns if name != "parameter"]
     row, response = next((k, r) for k in sensitivity.index for r in responses if abs(sensitivity[r][k]) > 0.25)
     own = sensitivity.copy()
-    own.loc[row, response] = 0.02
+    own.loc[row, response] = part * np.sign(own.loc[row, response])
     ax = draw_sensitivity(sensitivity, partial=own)
     (words,) = (t.get_text() for t in ax.texts if t.get_text().startswith("("))
     assert words.strip("()") in cells(draw_sensitivity(sensitivity)).values() and "lent" in ax.get_xlabel()
