@@ -78,6 +78,8 @@ FIGURES = {
     "tire_loads": Shown("tire_contact_article", "loads"),
     "tire_patch": Shown("tire_contact_article", "patch"),
     "tire_displacements": Shown("tire_contact_article", "displacements"),
+    "tire_surfaces": Shown("tire_contact_article", "surfaces"),
+    "tire_load_table": Shown("tire_contact_article", "load_table"),
     "tire_times": Shown("tire_contact_article", "times"),
     "tire_effects": Shown("hidden_tire", "ranked_effects"),
 }

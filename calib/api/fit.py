@@ -16,6 +16,7 @@ from calib.analyses.every_mode import errors_at
 from calib.analyses.fit_statistics import FitStatistics
 from calib.analyses.joint_responses import own_values
 from calib.analyses.provenance.places import tasks_shared
+from calib.api.analysis_result import AnalysisResult, interval_result, pareto_result, robustness_result
 from calib.api.arguments import (
     ExplainKeys,
     ParetoKeys,
@@ -26,7 +27,6 @@ from calib.api.arguments import (
 )
 from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
-from calib.api.intervals import FitIntervals, FitPareto, FitRobustness
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
 from calib.api.search import Searched
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.axes import Axes
 
+    from calib.analyses.intervals import Intervals
+    from calib.analyses.pareto import Pareto
+    from calib.analyses.robustness import Robustness
     from calib.api.explained import Explained
 
 
@@ -217,7 +220,7 @@ class Fit(Displayed, Generic[P]):
         seed: int = 1,
         reduction: bool | Mapping[str, Any] | None = None,
         progress: bool = True,
-    ) -> FitIntervals:
+    ) -> AnalysisResult[Intervals]:
         """95 % intervals that assume no linear model, by the profile likelihood (Raue et al. 2009).
 
         One parameter is moved away from its fitted value while all others are fitted again, until the data exclude
@@ -246,7 +249,7 @@ class Fit(Displayed, Generic[P]):
         study = problem.study(calibration_settings(problem.settings, {}, None, None, reduction, "intervals"))
         with reporting("intervals", progress) as step, ledger_or_memory(problem.ledger) as ledger:
             run = IntervalsRun(ledger, parameters=tuple(parameters), samples=samples, seed=seed, progress=step)
-            return FitIntervals(intervals_at(study, self.values, run))
+            return interval_result(intervals_at(study, self.values, run))
 
     def robustness(
         self,
@@ -255,7 +258,7 @@ class Fit(Displayed, Generic[P]):
         reduction: bool | Mapping[str, Any] | None = None,
         progress: bool = True,
         **keys: Unpack[RobustnessKeys],
-    ) -> FitRobustness:
+    ) -> AnalysisResult[Robustness]:
         """Responses over what is known of the parameters: quantiles, and the share outside limits.
 
         Parameters
@@ -281,7 +284,7 @@ class Fit(Displayed, Generic[P]):
         study = problem.study(robustness_settings(settings, keys))
         with reporting("robustness", progress) as step, ledger_or_memory(problem.ledger) as ledger:
             run = RobustnessRun(ledger, study.settings.robustness, posterior, progress=step)
-            return FitRobustness(robustness_at(study, self.values, run))
+            return robustness_result(robustness_at(study, self.values, run))
 
     def pareto(
         self,
@@ -290,7 +293,7 @@ class Fit(Displayed, Generic[P]):
         executor: AnyExecutor | None = None,
         progress: bool = True,
         **keys: Unpack[ParetoKeys],
-    ) -> FitPareto:
+    ) -> AnalysisResult[Pareto]:
         """Weigh two groups of responses against each other: the Pareto front by NSGA-II (Deb et al. 2002).
 
         Parameters
@@ -316,7 +319,7 @@ class Fit(Displayed, Generic[P]):
             ledger_or_memory(problem.ledger) as ledger,
         ):  # fmt: skip
             run = ParetoRun(ledger, study.settings.pareto, workers=workers, progress=step)
-            return FitPareto(pareto_at(study, self.values, run))
+            return pareto_result(pareto_at(study, self.values, run))
 
     def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
         """Draw one figure of the fit.

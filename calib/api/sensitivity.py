@@ -12,6 +12,7 @@ import pandas as pd
 from calib.analyses.refine import Refined, refined
 from calib.analyses.screening import screened
 from calib.analyses.sensitivity import Sensitivity, sampled
+from calib.api.analysis_result import AnalysisResult, refined_result
 from calib.api.arguments import with_keys
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
@@ -99,7 +100,9 @@ class Assessed(Displayed):
 
         return draw_metamodel(self.prognosis[response], self.samples, path_of(path, "path"), inputs)
 
-    def refine(self, runs: int = 20, *, seed: int = 1, executor: Any = None, progress: bool = True) -> MoreRuns:
+    def refine(
+        self, runs: int = 20, *, seed: int = 1, executor: Any = None, progress: bool = True
+    ) -> AnalysisResult[Refined]:
         """New runs where they help most, evaluated where the model computes; see `calib.analyses.refine.refined`.
 
         ``seed`` is that of the candidates; the other arguments are as in `calib.Problem.sensitivity`.
@@ -109,7 +112,7 @@ class Assessed(Displayed):
             injected(executor) as workers, reporting("refine", progress) as step,
             ledger_or_memory(self.ledger) as ledger,
         ):  # fmt: skip
-            return MoreRuns(refined(self.study, self.answer, ledger, count, seed, workers, step))
+            return refined_result(refined(self.study, self.answer, ledger, count, seed, workers, step))
 
     @property
     def table(self) -> pd.DataFrame:
@@ -150,41 +153,6 @@ class Assessed(Displayed):
         if not isinstance(self.answer, Sensitivity):
             return f"Assessed({self.answer.method}, {self.answer.points} points)"
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
-
-
-@dataclass(frozen=True, eq=False, repr=False)
-class MoreRuns(Displayed):
-    """New runs where they help metamodels most.
-
-    Attributes
-    ----------
-    of : Refined
-        All results: ``runs``, and ``prognosis``, the metamodels with them.
-    """
-
-    of: Refined
-
-    @property
-    def sentences(self) -> tuple[str, ...]:
-        """What was proposed or evaluated, and the errors of prediction near the measurement."""
-        return self.of.sentences
-
-    @property
-    def lines(self) -> Mapping[str, str]:
-        """The answer by the labels of its lines, and where the rest is."""
-        return {**self.of.answer.labelled, "Evidence": ".table, .of.runs, .of.prognosis"}
-
-    @property
-    def table(self) -> pd.DataFrame:
-        """A row for each response; see `calib.analyses.refine.Refined`."""
-        return self.of.table
-
-    @property
-    def entries(self) -> Sequence[Entry]:
-        """What the command prints below the answer."""
-        from calib.api.entries.compared import refined_entries
-
-        return refined_entries(self.of)
 
 
 def assessed(

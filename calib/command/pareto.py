@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.command.loaded import loaded_study
-from calib.command.options import CachePath, Quick, ResultsPath, StudyPath, Verbose, Workers
+from calib.command.options import CachePath, ExecutorName, Quick, ResultsPath, StudyPath, Verbose, Workers
 from calib.results.results import RESULTS
 
 
@@ -26,6 +26,7 @@ def pareto(
     ] = None,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
     verbose: Verbose = False,
@@ -38,5 +39,5 @@ def pareto(
     from calib.command.options import groups_named
 
     objectives = groups_named(group or ())
-    with loaded_study("pareto", study, results, verbose, workers, quick, cache=cache) as loaded:
+    with loaded_study("pareto", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
         loaded.pareto(population=population, generations=generations, seed=seed, objectives=objectives)

@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from calib.command.loaded import loaded_study
-from calib.command.options import Quick, ResultsPath, StudyPath, Verbose, Workers
+from calib.command.options import ExecutorName, Quick, ResultsPath, StudyPath, Verbose, Workers
 from calib.results.results import RESULTS
 
 
@@ -17,6 +17,7 @@ def refine(
     seed: Annotated[int, typer.Option("--seed", min=0, help="Of the points among which they are chosen.")] = 1,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
+    executor: ExecutorName = None,
     quick: Quick = False,
     verbose: Verbose = False,
 ) -> None:
@@ -25,5 +26,5 @@ def refine(
     For a table of runs they are proposed, as a CSV of inputs; a model that computes is evaluated there, and its
     metamodels are built anew.
     """
-    with loaded_study("refine", study, results, verbose, workers, quick) as loaded:
+    with loaded_study("refine", study, results, verbose, workers, quick, executor=executor) as loaded:
         loaded.refine(runs, seed=seed)

@@ -59,10 +59,15 @@ def places_table(places: Iterable[ModelPlace]) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        Columns ``name, form, kind, parameters`` (names with semicolons between) and ``x, y, z`` (m).
+        Columns ``name, form, kind, parameters`` (names with semicolons between), ``x, y, z`` (m) and ``dx, dy, dz``
+        (direction of a spring or damper).
     """
-    rows = [(p.name, p.form, p.kind, "; ".join(p.parameters), *p.place) for p in places if np.isfinite(p.place).all()]
-    return pd.DataFrame(rows, columns=["name", "form", "kind", "parameters", "x", "y", "z"])
+    rows = [
+        (p.name, p.form, p.kind, "; ".join(p.parameters), *p.place, *p.direction)
+        for p in places
+        if np.isfinite(p.place).all()
+    ]
+    return pd.DataFrame(rows, columns=["name", "form", "kind", "parameters", "x", "y", "z", "dx", "dy", "dz"])
 
 
 NAME = "mesh_error"

@@ -24,7 +24,7 @@ from calib.report.modes import model_modes_figure, pages
 from calib.report.orthogonality import orthogonality_figure
 from calib.report.parameters import draw_parameters
 from calib.report.pareto import draw_pareto
-from calib.report.places import places_figure
+from calib.report.places import DIRECTION, places_figure
 from calib.report.profiles import profiles_figure
 from calib.report.responses import draw_responses
 from calib.report.robustness import BOUNDS, NUMBERS, robustness_figure
@@ -84,12 +84,12 @@ def _comparisons(folder: Folder, compared: Mapping[str, pd.DataFrame | None], ef
         noise, added = _noise_mac(folder / "summary.json"), compared.get(_ADDED)
         draw = bound(comparison_figure, before, after, noise, added=added, effects=effects)
         yield Drawing("comparison", "model against measurement", draw, _there(folder, "comparison", list(compared)))
-    for stage in _STAGES:
-        if (errors := _scalar_comparison(folder / f"comparison_{stage}.csv")) is not None:
-            both = (errors, None) if stage == "before" else (None, errors)
-            caption = f"errors of the responses, {stage_words(stage, effects)}"
-            draw = bound(draw_responses, *both, effects=effects)
-            yield Drawing(f"responses_{stage}", caption, draw, (f"comparison_{stage}",))
+    scalar = {stage: _scalar_comparison(folder / f"comparison_{stage}.csv") for stage in compared}
+    if any(table is not None for table in scalar.values()):
+        draw = bound(draw_responses, scalar["before"], scalar["after"], added=scalar.get(_ADDED), effects=effects)
+        yield Drawing(
+            "responses", "responses of model and measurement", draw, _there(folder, "comparison", list(scalar))
+        )
 
 
 def _frfs(folder: Folder, stages: Sequence[str], effects: str) -> Iterator[Drawing]:
@@ -135,13 +135,22 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
         return
     shapes = {stage: _shapes(folder / f"shapes_{stage}.csv") for stage in _STAGES}
     placed = next((table for table in shapes.values() if table is not None), None)
-    sensors = None if placed is None else placed[placed["mode"] == placed["mode"].iloc[0]]
+    sensors, forces = _ends_of_functions(folder)
+    if placed is not None:
+        sensors = placed[placed["mode"] == placed["mode"].iloc[0]]
     if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
-        yield Drawing("model", "the model", bound(model_figure, mesh, sensors), ("mesh_points", "mesh_elements"))
+        draw = bound(model_figure, mesh, sensors, forces)
+        yield Drawing("model", "the model", draw, ("mesh_points", "mesh_elements"))
     path = folder / "model_places.csv"
     if path.exists():
         marks = read_results(
-            path, ["name", "form"], PLACE, complete=PLACE, blank=["kind", "parameters"], may_be_empty=True
+            path,
+            ["name", "form"],
+            PLACE,
+            complete=PLACE,
+            blank=["kind", "parameters"],
+            if_there=DIRECTION,
+            may_be_empty=True,
         )
         if len(marks):
             caption = "springs, masses and supports of the model, and its parameters"
@@ -168,6 +177,15 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
             yield Drawing(
                 f"mode_shapes_{stage}", caption, draw, existing(folder, [f"shapes_{stage}", f"expanded_shapes_{stage}"])
             )
+
+
+def _ends_of_functions(folder: Folder) -> tuple[pd.DataFrame | None, pd.DataFrame | None]:
+    """Where FRFs were measured and where the structure was excited; None for other data."""
+    functions, path = read_stages(folder, "comparison", _STAGES), folder / "sensors.csv"
+    if not functions or not path.exists():
+        return None, None
+    known, compared = read_results(path, ["sensor", "direction"], PLACE), next(iter(functions.values()))
+    return known[known["sensor"].isin(compared["response"])], known[known["sensor"].isin(compared["reference"])]
 
 
 def _every_mode(folder: Folder, effects: str) -> Iterator[Drawing]:
@@ -212,7 +230,7 @@ def _sensitivities(folder: Folder) -> Iterator[Drawing]:
     path = folder / "input_correlation.csv"
     if path.exists() and len(inputs := read_square(path)) > 1:
         draw = bound(draw_correlation, inputs, threshold=INDUCED, label=INPUTS)
-        yield Drawing("input_correlation", "correlation induced by constraints", draw, ("input_correlation",))
+        yield Drawing("input_correlation", "correlation induced by constraints or priors", draw, ("input_correlation",))
     path = folder / "selection.csv"
     if path.exists():
         numbers = [name for measure in MEASURES for name in (f"max_{measure}", f"{measure}_floor")]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -25,11 +26,17 @@ _SHADE = 0.35
 """Fraction of a face's brightness that depends on its orientation."""
 _STICK = 0.02
 """Length of a sensor's stick, as a fraction of the diagonal of the model's box."""
+_FORCE: dict[str, Any] = {
+    "marker": "*", "linestyle": "none", "color": BLACK, "markersize": 12, "markeredgecolor": "white",
+}  # fmt: skip
+"""Look of a place that was excited."""
 _WIDTHS = np.array([0.25, 0.9, 1.3])
 """Line widths of the edges of faces, borders and lines, in points."""
 
 
-def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None) -> Axes3D:
+def draw_model(
+    mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None, forces: pd.DataFrame | None = None
+) -> Axes3D:
     """Draw the mesh, faces coloured by group, and the sensors on it.
 
     Parameters
@@ -39,11 +46,13 @@ def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D
         Columns ``direction, x, y, z`` (m); a translational sensor gets a stick along its direction; one without
         coordinates is not drawn.
     ax : Axes3D, optional
+    forces : DataFrame, optional
+        The same columns where the structure was excited.
 
     Returns
     -------
     Axes3D
-        Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot per place) and ``directions``.
+        Pieces with the gid ``model``, lines with the gids ``sensors`` (one dot a place), ``directions`` and ``forces``.
     """
     ax = scene.new_axes(ax)
     parts, rest = pieces(mesh), point_coordinates(mesh)
@@ -68,6 +77,9 @@ def draw_model(mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D
         ax.plot(*dots, "o", color=MEASURED, markeredgecolor="white", markeredgewidth=0.5, markersize=4.5,
                 gid="sensors", zorder=4)  # fmt: skip
         seen = np.concatenate([seen, place, tips])
+    if forces is not None:
+        place = forces.loc[forces[scene.PLACE].notna().all(axis=1), scene.PLACE].to_numpy(dtype=float)
+        ax.plot(*scene.plot_coordinates(np.unique(place, axis=0)).T, gid="forces", zorder=5, **_FORCE)
     scene.frame_panel(ax, seen, "")
     return ax
 
@@ -92,7 +104,7 @@ def face_groups(mesh: MeshTables) -> list[str]:
     return list(dict.fromkeys(elements.loc[elements["c"].notna(), "group"].astype(str)))
 
 
-def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None) -> Figure:
+def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None, forces: pd.DataFrame | None = None) -> Figure:
     """Draw the model with a legend; for the arguments see `draw_model`."""
     rest = seen_places(mesh)
     names = face_groups(mesh)
@@ -104,10 +116,12 @@ def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None) -> Figur
     if sensors is not None:
         words = f"sensors used ({len(sensors)}) and their directions"
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
+    if forces is not None:
+        handles.append(Line2D([], [], label=f"excited ({len(forces)})", **_FORCE))
     wide, high = scene.seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
     foot = max(scene.FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
     figure = scene.new_scene(min(WIDTH * high / wide, 6.0) + foot, foot)
-    draw_model(mesh, sensors, figure.add_subplot(projection="3d"))
+    draw_model(mesh, sensors, figure.add_subplot(projection="3d"), forces)
     low = 0.34 / float(figure.get_size_inches()[1])
     figure.legend(
         handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=_ABREAST, borderaxespad=0.0

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import cast
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.container import BarContainer
 
+from calib.report.numbers import percent, significant
 from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain, stage_words
 from calib.report.svg import hover
 
@@ -15,20 +20,27 @@ _LOOKS = {
     "added": {"facecolor": WITH, "hatch": "....", "edgecolor": "white"},
     "attempt": ATTEMPT,
 }
+_MOST_VALUES = 30
+"""Bars that still have their values beside them."""
 _MOST_UPRIGHT = 6
 """Responses whose names still stand level below the axis."""
 
 
 def draw_responses(
-    before: pd.DataFrame | None, after: pd.DataFrame | None = None, ax: Axes | None = None, *, effects: str = ""
+    before: pd.DataFrame | None,
+    after: pd.DataFrame | None = None,
+    ax: Axes | None = None,
+    *,
+    added: pd.DataFrame | None = None,
+    effects: str = "",
 ) -> Axes:
-    """Draw the error of every scalar response, before and after calibration.
+    """Draw the error of every scalar response, before and after calibration, with its value and error in percent.
 
     Parameters
     ----------
-    before, after : DataFrame, optional
-        Columns ``response``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no standard deviation
-        is known).
+    before, after, added : DataFrame, optional
+        Columns ``response, measured, model``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no
+        standard deviation is known).
     ax : Axes, optional
     effects : str
         Names of effects that were added after this calibration, for the legend.
@@ -36,17 +48,38 @@ def draw_responses(
     Returns
     -------
     Axes
-        Bars in standard deviations where any are known, otherwise in percent of the response.
+        Bars in standard deviations where any are known, otherwise in percent of the response. Beside each bar stand the
+        model's value and its error in percent, below the name what was measured, where there is room for them.
     """
-    tables = {stage: table for stage, table in (("before", before), ("after", after)) if table is not None}
+    stages = {"before": before, "after": after, "added": added}
+    tables = {stage: table.set_index("response") for stage, table in stages.items() if table is not None}
     in_std = any(table["error_in_std"].notna().any() for table in tables.values())
     column, factor = ("error_in_std", 1.0) if in_std else ("error", 100.0)
     label = "error (standard deviations)" if in_std else "error (%)"
-    bars = {
-        stage_words(stage, effects): (stage, factor * table.set_index("response")[column])
-        for stage, table in tables.items()
-    }
-    return _bars(bars, label, ax)
+    bars = {stage_words(stage, effects): (stage, factor * table[column]) for stage, table in tables.items()}
+    ax = _bars(bars, label, ax)
+    values = {stage_words(stage, effects): table for stage, table in tables.items()}
+    if sum(map(len, values.values())) <= _MOST_VALUES:
+        _write_values(ax, values)
+    return ax
+
+
+def _write_values(ax: Axes, tables: Mapping[str, pd.DataFrame]) -> None:
+    """Write model value and error in percent beside every bar, and the measured value below the name."""
+    names = [label.get_text() for label in ax.get_xticklabels()]
+    level = len(names) <= _MOST_UPRIGHT
+    apart = "\n" if level else ", "
+    for bars, table in zip(ax.containers, tables.values(), strict=True):
+        known = table.reindex(names)
+        texts = [
+            "" if pd.isna(value) else f"{significant(value)}{apart}{percent(error, 1, sign=True)} %"
+            for value, error in zip(known["model"], known["error"], strict=True)
+        ]
+        ax.bar_label(cast(BarContainer, bars), texts, fontsize=6.5, padding=3, rotation=0 if level else 90)
+    measured = pd.concat([table["measured"] for table in tables.values()]).groupby(level=0, sort=False).first()
+    shown = [f"{name}{apart}measured {significant(measured[name])}" for name in names]
+    ax.set_xticks(range(len(names)), shown, rotation=0 if level else 90)
+    ax.margins(y=0.16 if level else 0.4)
 
 
 def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, Protocol
@@ -23,6 +24,11 @@ _LITTLE = 1e-9
 """Eigenvalue of a spring's matrix, over its largest, below which it is zero."""
 
 
+_NOWHERE = (math.nan, math.nan, math.nan)
+_ASIDE = 0.1
+"""Largest stiffness across a spring, over that along it, with which it acts in one direction."""
+
+
 @dataclass(frozen=True)
 class ModelPlace:
     """A piece of a model at one place.
@@ -39,6 +45,9 @@ class ModelPlace:
         Parameters that scale or move it; none for what is fixed.
     place : (3,) float
         Its midpoint, m.
+    direction : (3,) float
+        Unit vector along which a spring or damper acts; NaN for one of several directions or of rotations, and for all
+        else.
     """
 
     name: str
@@ -46,6 +55,7 @@ class ModelPlace:
     kind: str
     parameters: tuple[str, ...]
     place: tuple[float, float, float]
+    direction: tuple[float, float, float] = _NOWHERE
 
 
 class _Part(Protocol):
@@ -83,7 +93,14 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
     once for each connected group of their nodes. Nodes without coordinates have no place.
     """
     found = [
-        ModelPlace(p.name, _form(model, p.kind, p.matrix), p.kind, _scaling(model, p.coefficient.names), p.place)
+        ModelPlace(
+            p.name,
+            _form(model, p.kind, p.matrix),
+            p.kind,
+            _scaling(model, p.coefficient.names),
+            p.place,
+            _direction(model, p.matrix),
+        )
         for p in model.parts
     ]
     larger = {place.name for place in found if place.form == "part"}  # of a clamped beam too, whose mass is at one node
@@ -95,7 +112,9 @@ def model_places(model: _Structure) -> tuple[ModelPlace, ...]:
             if any((parameter, kind) not in placed for parameter in parameters):
                 nodes = model.dofs.node[np.unique(matrix.indices)]
                 form = _form(model, kind, matrix)
-                found += [ModelPlace(name, form, kind, parameters, at) for at in middles(model, nodes, matrix)]
+                way = _direction(model, matrix)
+                found += [ModelPlace(name, form, kind, parameters, at, way) for at in middles(model, nodes, matrix)]
+    found = [one if one.form in ("spring", "damper") else replace(one, direction=_NOWHERE) for one in found]
     translates = (np.diff(model.dofs.expansion.indptr).reshape(-1, 6)[:, :3] > 0).any(axis=1)
     held = ~translates & translates.any()  # a model of rotations alone holds nothing
     return (*found, *(ModelPlace("support", "support", "", (), at) for at in middles(model, np.flatnonzero(held))))
@@ -135,6 +154,19 @@ def _form(model: _Structure, kind: str, matrix: sp.csr_array) -> Form:
     if rank > max(1, moves[:3].sum()):
         return "part"
     return "damper" if kind == "damping" else "spring"
+
+
+def _direction(model: _Structure, matrix: sp.csr_array) -> tuple[float, float, float]:
+    """Unit vector along which a piece resists translations of its nodes; NaN where that is no single one."""
+    coo, block = sp.coo_array(matrix), np.zeros((3, 3))
+    (node, way), (row, col) = (model.dofs.node, model.dofs.direction), (coo.row, coo.col)
+    own = (node[row] == node[col]) & (node[row] >= 0) & (way[row] < 3) & (way[col] < 3)
+    np.add.at(block, (way[row[own]], way[col[own]]), coo.data[own])
+    size, vectors = np.linalg.eigh(block)
+    if not size[1] <= _ASIDE * size[2] or not size[2] > 0:
+        return _NOWHERE
+    x, y, z = vectors[:, 2].tolist()
+    return x, y, z
 
 
 def middles(

@@ -27,7 +27,7 @@ _FURTHER = (
 """Analyses of the designs, in words, each with the one that it needs."""
 _OF_TEST = ("compare", "sensitivity")
 """Analyses of each test by itself."""
-_FIGURES = ("comparison", "responses_after", "responses_before", "frf_overlays")
+_FIGURES = ("comparison", "responses", "frf_overlays")
 """Model against measurement, of each kind of data."""
 
 

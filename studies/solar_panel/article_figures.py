@@ -32,26 +32,31 @@ def draw_reduction(ax: Axes | None, table: pd.DataFrame) -> Axes:
     ax.set_xticks(sorted(table["order"].unique()))
     ax.grid(axis="y")
     legend_above(ax)
+    lost = table["error"].le(ROUNDING).sum()
+    words = f"not drawn: {lost} errors below {ROUNDING:.0e} %, which is rounding"
+    ax.text(0.01, 0.03, words, transform=ax.transAxes, fontsize=8, color=GREY)
     return ax
 
 
 def convergence_figure(table: pd.DataFrame) -> Figure:
-    """Frequency errors of six orders after each step: median and largest of the seeds (`convergence`)."""
+    """Frequency errors of six orders at the start and after each step: median and largest of the seeds."""
     figure = new_figure(4.1)
     panels = figure.subplots(2, 3, sharex=True, sharey=True).ravel()
     for ax, (order, own) in zip(panels, table.groupby("order"), strict=False):
         for iteration, colour in COLOURS.items():
-            one = own[(own["iteration"] == iteration) & (own["step"] > 0)]
+            one = own[own["iteration"] == iteration]
             ax.plot(one["step"], one["median"], "-", color=colour, label=f"{iteration}, median")
             ax.plot(one["step"], one["worst"], ":", color=colour, label=f"{iteration}, worst")
-        before = own.loc[own["step"] == 0, "median"].iloc[0]
-        ax.set_title(f"order {order}: {before:.1f} % before")
-        ax.set_xticks([1, 5, 10, 15])
+        ax.set_title(f"order {order}")
+        ax.set_xticks([0, 5, 10, 15])
         ax.grid(axis="y")
-    panels[0].set_ylim(bottom=0)
-    figure.supxlabel("step of the iteration", fontsize=9)
+    panels[0].set(yscale="log", ylim=(0.5, 25))
+    panels[0].yaxis.set_major_locator(FixedLocator([0.5, 1, 2, 5, 10, 20]))
+    panels[0].yaxis.set_minor_locator(NullLocator())
+    panels[0].yaxis.set_major_formatter(ScalarFormatter())
+    figure.supxlabel("step of the iteration, 0: before", fontsize=9)
     figure.supylabel("frequency error (%)", fontsize=9)
-    panels[0].legend(loc="upper left")
+    panels[0].legend(loc="upper right", labelspacing=0.2)
     return figure
 
 

@@ -62,22 +62,25 @@ def timed(tire: Tire, mesh: tuple[int, int], pressure: float = PRESSURES[1]) -> 
 
 def displacements(step: Pressed) -> pd.DataFrame:
     """Displacements since inflation, mm: along the meridian below the axle, and along the crown around the hoop."""
+    over, profile = cover(step), step.ground.inflated.wall.grid.profile
+    crown = over["along"] == over["along"].iloc[int(np.argmax(profile.r(over["along"].to_numpy() / MM)))]
+    section = over[over["around"] == 0.0].assign(place=lambda own: own["along"], along="meridian")
+    hoop = over[crown].assign(place=lambda own: own["around"], along="hoop")
+    return pd.concat([section, hoop], ignore_index=True)[["along", "place", "u", "v", "w"]]
+
+
+def cover(step: Pressed) -> pd.DataFrame:
+    """Displacements of all nodes since inflation, mm, by place along the section (mm) and around (degrees)."""
     inflated, grid = step.ground.inflated, step.ground.inflated.wall.grid
     u, v, w = (a - b for a, b in zip(grid.fields(step.displacement), grid.fields(inflated.displacement), strict=True))
     u_node = (np.vstack([np.zeros(grid.n_hoop), u]) + np.vstack([u, np.zeros(grid.n_hoop)])) / 2
     v_node = (v + np.roll(v, 1, axis=1)) / 2
-    crown = int(np.argmax(grid.profile.r(grid.s_node)))
     angle = np.degrees(np.where(grid.theta_node > np.pi, grid.theta_node - 2 * np.pi, grid.theta_node))
-    order = np.argsort(angle)
-    section = pd.DataFrame({
-        "along": "meridian", "place": grid.s_node * MM,
-        "u": u_node[:, 0] * MM, "v": v_node[:, 0] * MM, "w": w[:, 0] * MM,
-    })  # fmt: skip
-    hoop = pd.DataFrame({
-        "along": "hoop", "place": angle[order],
-        "u": u_node[crown, order] * MM, "v": v_node[crown, order] * MM, "w": w[crown, order] * MM,
-    })  # fmt: skip
-    return pd.concat([section, hoop], ignore_index=True)
+    along, around = np.meshgrid(grid.s_node * MM, angle, indexing="ij")
+    table = pd.DataFrame({"along": along.ravel(), "around": around.ravel()})
+    for name, field in (("u", u_node), ("v", v_node), ("w", w)):
+        table[name] = (field * MM).ravel()
+    return table.sort_values(["along", "around"], ignore_index=True)
 
 
 def sections(curve: LoadCurve) -> pd.DataFrame:
@@ -172,6 +175,7 @@ def tables() -> dict[str, pd.DataFrame]:
         "loads": pd.concat(rows, ignore_index=True),
         "times": pd.DataFrame(times),
         "displacements": displacements(last),
+        "cover": cover(last),
         "sections": sections(shown),
         "patch": patch(last),
         "patch_coarse": patch(curves[MESHES[0], PRESSURES[1]].last),

@@ -62,6 +62,64 @@ def tire_figure(surface: pd.DataFrame) -> Figure:
     return figure
 
 
+PARTS = {"u": "u, along the section", "v": "v, around", "w": "w, outward"}
+"""Displacements, and what each is."""
+
+
+def surfaces_figure(table: pd.DataFrame) -> Figure:
+    """u, v and w since inflation over the cover near the patch, each on a scale of its own (`cover`)."""
+    figure = new_figure(2.9)
+    for place, (name, words) in enumerate(PARTS.items(), 1):
+        ax = figure.add_subplot(1, 3, place, projection="3d", computed_zorder=False)
+        field = table.pivot(index="along", columns="around", values=name)
+        across, around = np.meshgrid(field.index, field.columns, indexing="ij")
+        reach = float(np.abs(field.to_numpy()).max())
+        ax.plot_surface(
+            around,
+            across,
+            field.to_numpy(),
+            cmap="RdBu_r",
+            vmin=-reach,
+            vmax=reach,
+            rstride=1,
+            cstride=1,
+            edgecolor="#404040",
+            linewidth=0.15,
+        )
+        ax.set(xlim=(field.columns.min(), field.columns.max()), ylim=(field.index.min(), field.index.max()))
+        ax.set_title(f"{words} (mm)", y=1.02)
+        ax.set_xlabel("around (°)", labelpad=-5)
+        ax.set_ylabel("along the section (mm)", labelpad=-3)
+        ax.tick_params(labelsize=6.5, pad=-2)
+        ax.set_xticks([-90, 0, 90])
+        ax.view_init(elev=28, azim=-55)
+        ax.set_box_aspect((1.0, 1.0, 0.75), zoom=0.88)
+    figure.subplots_adjust(left=0.0, right=0.97, bottom=0.06, top=0.9, wspace=0.08)
+    return figure
+
+
+def load_table_figure(table: pd.DataFrame) -> Figure:
+    """The loads of some steps as a table: deflection, load, loaded radius, patch, and largest pressure (`loads`)."""
+    fine = table[(table["cells"] == table["cells"].max()) & (table["pressure"] == 200.0)]
+    columns = {
+        "step": ("step", "{:.0f}"), "deflection": ("deflection\n(mm)", "{:.1f}"), "load": ("load\n(N)", "{:.0f}"),
+        "loaded_radius": ("loaded radius\n(mm)", "{:.1f}"), "patch_length": ("patch length\n(mm)", "{:.0f}"),
+        "patch_width": ("patch width\n(mm)", "{:.0f}"), "bulge": ("bulge\n(mm)", "{:.2f}"),
+        "largest_pressure": ("largest pressure\n(kPa)", "{:.0f}"), "iterations": ("Newton\nsteps", "{:.0f}"),
+    }  # fmt: skip
+    shown = fine[(fine["step"] % 4 == 2) | (fine["step"] == 1)]
+    cells = [[form.format(row[name]) for name, (_, form) in columns.items()] for row in shown.to_dict("records")]
+    figure = new_figure(0.5 + 0.22 * (len(cells) + 2))
+    ax = figure.add_subplot()
+    ax.set_axis_off()
+    grid = ax.table(cells, colLabels=[words for words, _ in columns.values()], loc="center", cellLoc="right", edges="B")
+    grid.auto_set_font_size(False)
+    grid.set_fontsize(8)
+    for (row, _), cell in grid.get_celld().items():
+        cell.set(height=(2.2 if row == 0 else 1.0) / (len(cells) + 2.2), linewidth=0.8 if row == 0 else 0.2)
+    return figure
+
+
 def displacements_figure(table: pd.DataFrame) -> Figure:
     """u, v and w along the section below the axle, and along the crown (`displacements`)."""
     figure = new_figure(3.2)
@@ -75,11 +133,7 @@ def displacements_figure(table: pd.DataFrame) -> Figure:
         strict=True,
     ):
         own = table[table["along"] == along]
-        for name, colour, meaning in (
-            ("u", ORANGE, "u, along the section"),
-            ("v", GREEN, "v, around"),
-            ("w", BLUE, "w, outward"),
-        ):
+        for (name, meaning), colour in zip(PARTS.items(), (ORANGE, GREEN, BLUE), strict=True):
             ax.plot(own["place"], own[name], color=colour, marker=".", markersize=3, linewidth=1.2, label=meaning)
         ax.axhline(0.0, color=GREY, linewidth=0.6)
         ax.set_xlabel(words)
@@ -102,7 +156,7 @@ def sections_figure(table: pd.DataFrame) -> Figure:
         level = own["ground"].iloc[0]
         if np.isfinite(level):
             ax.plot([-60, 60], [-level, -level], color=colours[state], linewidth=0.6)
-    ax.set(xlabel="axial position (mm)", ylabel="height below the axle (mm)", aspect="equal")
+    ax.set(xlabel="axial position (mm)", ylabel="height over the axle (mm)", aspect="equal")
     ax.legend(loc="center left", bbox_to_anchor=(1.02, 0.5), title="thin line: the ground")
     return figure
 
@@ -183,6 +237,8 @@ def times_figure(times: pd.DataFrame, loads: pd.DataFrame) -> Figure:
 FIGURES: dict[str, tuple[str, Callable[[Path], Figure]]] = {
     "tire": ("the tire on the ground at 25 mm", lambda f: tire_figure(_read(f, "surface"))),
     "displacements": ("displacements at 25 mm", lambda f: displacements_figure(_read(f, "displacements"))),
+    "surfaces": ("displacements over the cover at 25 mm", lambda f: surfaces_figure(_read(f, "cover"))),
+    "load_table": ("loads of some of 38 steps", lambda f: load_table_figure(_read(f, "loads"))),
     "sections": ("cross-sections below the axle", lambda f: sections_figure(_read(f, "sections"))),
     "patch": ("contact pressure at 25 mm", lambda f: patch_figure(_read(f, "patch"), _read(f, "patch_coarse"))),
     "loads": ("load and deflection, 38 steps", lambda f: loads_figure(_read(f, "loads"))),

@@ -142,6 +142,10 @@ def test_every_command_and_every_option_is_listed(made):
         assert f"## `calib {name}`" in text
         for param in command.params:
             assert str(param.metavar or param.name).upper() in text or param.opts[0] in text
+        options = {option for param in command.params for option in param.opts}
+        assert ("--workers" in options) == ("--executor" in options), (
+            name
+        )  # whoever evaluates points may do it anywhere
 
 
 def test_every_rule_is_listed_with_its_value_and_a_meaning(made):

@@ -9,8 +9,9 @@ import pandas as pd
 import pytest
 
 from calib.report.mesh import MeshTables
-from calib.report.model import model_figure
-from calib.report.places import draw_places, numbered_parameters, places_figure
+from calib.report.model import draw_model, model_figure
+from calib.report.places import DIRECTION, draw_places, numbered_parameters, places_figure
+from calib.report.scene import plot_coordinates, view_directions
 from calib.report.style import style
 from calib.report.svg import svg_text
 
@@ -86,6 +87,38 @@ def test_the_key_counts_the_pieces_of_every_parameter(mesh, table):
     assert key == "1  K of rod: 3 springs, mass of 1 part"
 
 
+def test_marks_stand_in_the_direction_of_springs(mesh, table):
+    ways = {"rod left": (1.0, 0.0, 0.0), "rod right": (0.0, 1.0, 0.0), "damper": (0.0, 0.0, 1.0)}
+    turned = table.assign(
+        **{c: [ways.get(n, (np.nan,) * 3)[k] for n in table["name"]] for k, c in enumerate(DIRECTION)}
+    )
+    found = {}
+    for line in draw_places(mesh, turned).lines:
+        if line.get_gid() in ("spring", "damper"):
+            place = tuple(np.asarray(v, dtype=float)[0] for v in line.get_data_3d())
+            along = line._marker.get_transform().transform([(0.0, 1.0)])[0]  # the mark's own upward direction
+            found[line.get_gid(), place] = along / np.linalg.norm(along)
+    seen = view_directions() @ plot_coordinates(np.array(list(ways.values()))).T
+    for (name, _), flat in zip(ways.items(), seen.T, strict=True):
+        row = table.set_index("name").loc[name]
+        own = found[row["form"], tuple(plot_coordinates(row[PLACE].to_numpy(dtype=float)))]
+        assert abs(own @ flat) / np.linalg.norm(flat) > np.cos(np.radians(3.0))
+
+
+def test_groups_that_are_small_in_the_whole_have_panels_of_their_own(mesh, table):
+    points = pd.DataFrame([(0, 0.0, 0.0, 0.0), (1, 40.0, 0.0, 0.0)], columns=["point", *PLACE])
+    elements = pd.DataFrame([("beam", 0, 1, np.nan, np.nan)], columns=["group", *"abcd"])
+    rows = [("s", "spring", "stiffness", f"k{k}", end + 0.4 * k, 0.0, 0.0) for end in (30.0, 5.0) for k in range(9)]
+    far = ("m", "mass", "mass", "m", 20.0, 0.0, 0.0)
+    crowd = pd.DataFrame([*rows, far], columns=table.columns)
+    figure = places_figure(MeshTables(points, elements), crowd)
+    whole, *panels = figure.axes[:3]
+    assert sorted({t.get_text() for t in whole.texts} - {""}) == ["10", "A", "B"]
+    own = [drawn(ax)["spring"] for ax in panels]
+    assert [places[0][0] for places in own] == [5.0, 30.0] and {len(places) for places in own} == {9}
+    assert len(places_figure(mesh, table).axes) == len(figure.axes) - 2
+
+
 @pytest.mark.parametrize(("name", "columns"), [("K", 3), ("K_of_a_rod_with_a_long_name", 2), ("K" * 90, 1)])
 def test_the_columns_of_the_key_do_not_meet(mesh, table, name, columns):
     rows = [table[:1].assign(parameters=f"{name}{k}") for k in range(6)]
@@ -102,6 +135,13 @@ def test_a_model_of_few_pieces_is_drawn_too(mesh, table, kept):
     figure = places_figure(mesh, some.assign(parameters=""))
     figure.draw_without_rendering()
     assert len(figure.legends[0].get_texts()) == len(kept)
+
+
+def test_where_the_structure_was_excited_has_a_star(mesh):
+    rows = [("z", 1.0, 0.5, 1.0), ("y", 1.0, 0.5, 1.0), ("z", np.nan, 0.0, 0.0)]
+    forces = pd.DataFrame(rows, columns=["direction", *PLACE])
+    assert drawn(draw_model(mesh, forces=forces))["forces"] == [[1.0, 0.5, 1.0]]
+    assert "forces" not in drawn(draw_model(mesh))
 
 
 @pytest.mark.parametrize("line", [None, (0, 1)])

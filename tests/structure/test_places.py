@@ -75,6 +75,27 @@ def test_every_parameter_of_the_bogie_has_its_places():
     assert len(wheels) == 4 and not any(p.parameters for p in wheels)
 
 
+def test_springs_and_dampers_have_the_direction_in_which_they_act():
+    places = bogie_on_rig().places
+    ways = {p.name: np.abs(p.direction) for p in places if p.form in ("spring", "damper")}
+    np.testing.assert_allclose(ways["primary springs front left"], [0, 1, 0], atol=1e-9)
+    np.testing.assert_allclose(ways["primary springs front left, x"], [1, 0, 0], atol=1e-9)
+    rod = [ways[name] for name in ways if name.startswith("upper rod")]
+    assert len(rod) == 4 and all(way[2] < 1e-9 and 0.1 < way[1] / way[0] < 1.0 for way in rod)
+    assert all(np.isnan(p.direction).all() for p in places if p.form in ("mass", "support", "part"))
+    ball = StructuralModel.from_matrices(
+        stiffness={"k": np.eye(3)}, mass=np.eye(3), parameters=[Parameter("k", 1e4, 1e3, 1e5)],
+        dofs=pd.DataFrame({"node": [1, 1, 1], "direction": ["x", "y", "z"], "x": 0.0, "y": 0.0, "z": 0.0}),
+    )  # fmt: skip
+    assert np.isnan(ball.places[0].direction).all()  # in all of them
+    skew = np.array([[0.36, 0.48], [0.48, 0.64]])
+    held = StructuralModel.from_matrices(
+        stiffness={"k": skew, "rest": np.eye(2)}, mass=np.eye(2), parameters=[Parameter("k", 1e4, 1e3, 1e5)],
+        dofs=pd.DataFrame({"node": [1, 1], "direction": ["x", "y"], "x": 0.0, "y": 0.0, "z": 0.0}),
+    )  # fmt: skip
+    np.testing.assert_allclose(np.abs(held.places[0].direction), [0.6, 0.8, 0.0], atol=1e-9)
+
+
 def test_a_shaft_of_rotations_alone_has_no_supports():
     shaft = StructuralModel.from_matrices(
         stiffness={"k": LINK}, mass=np.eye(2), parameters=[Parameter("k", 1e4, 1e3, 1e5)],

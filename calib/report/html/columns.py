@@ -54,7 +54,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "comac": _columns("sensor", "comac", if_there="motion"),
     "expansion": _columns("mode reduction", "residual imaginary tam_error", blank="reason"),
     "shapes": _columns("mode sensor direction", "x y z measured_re"),
-    "model_places": _columns("name form", "x y z", blank="kind parameters"),
+    "model_places": _columns("name form", "x y z", blank="kind parameters", if_there="dx dy dz"),
     "deflection": _columns("mode", "point u v w", complete="point u v w"),
     "where_it_fails": _columns("kind what verdict", "value in_std", if_there="limit"),
     # sensitivity
