@@ -125,9 +125,10 @@ def test_lines_are_the_tables(drawn_tables):
     np.testing.assert_allclose(shown["0 (Guyan)"][:, 1], table.loc[table["level"] == 0, "error"])
     table = drawn_tables["convergence"]
     panels = figures.convergence_figure(table).axes
-    own = table[(table["iteration"] == "traditional") & (table["order"] == 6) & (table["step"] > 0)]
+    own = table[(table["iteration"] == "traditional") & (table["order"] == 6)]
+    assert own["step"].min() == 0
     np.testing.assert_allclose(lines(panels[5])["traditional, worst"], own[["step", "worst"]])
-    assert [ax.get_title().split(":")[0] for ax in panels] == [f"order {k}" for k in range(1, 7)]
+    assert [ax.get_title() for ax in panels] == [f"order {k}" for k in range(1, 7)]
     table = drawn_tables["functions"]
     upper, lower = figures.functions_figure(table).axes
     np.testing.assert_allclose(lines(upper)["initial model"], table[["freq", "before"]])
