@@ -88,13 +88,12 @@ def surfaces_figure(table: pd.DataFrame) -> Figure:
         )
         ax.set(xlim=(field.columns.min(), field.columns.max()), ylim=(field.index.min(), field.index.max()))
         ax.set_title(f"{words} (mm)", y=1.02)
-        ax.set_xlabel("around (°)", labelpad=-5)
-        ax.set_ylabel("along the section (mm)", labelpad=-3)
+        ax.set_xlabel("around (°)", labelpad=-6, fontsize=7.5)
+        ax.set_ylabel("section (mm)", labelpad=-5, fontsize=7.5)
         ax.tick_params(labelsize=6.5, pad=-2)
         ax.set_xticks([-90, 0, 90])
         ax.view_init(elev=28, azim=-55)
         ax.set_box_aspect((1.0, 1.0, 0.75), zoom=0.88)
-    figure.subplots_adjust(left=0.0, right=0.97, bottom=0.06, top=0.9, wspace=0.08)
     return figure
 
 
