@@ -12,7 +12,7 @@ import numpy as np
 from calib.errors.errors import EvaluationError, InputError
 from calib.errors.own_code import defined_at
 from calib.execution.outcome import Outcome, point_key
-from calib.hypotheses.linear_start import linear_starts
+from calib.hypotheses.linear_start import has_linear_start, linear_starts
 from calib.problem.candidate import Candidate, Fault
 from calib.problem.differences import STEP
 from calib.problem.effect import Effect
@@ -198,6 +198,7 @@ class ModelHypotheses(Generic[P]):
     granted: tuple[str, ...] = ()
     counts: Counts = field(init=False, repr=False, default_factory=Counts)
     _fit_problems: dict[tuple[str, ...], VariantProblem[P]] = field(init=False, repr=False, default_factory=dict)
+    _pairs: dict[tuple[int, int | None], tuple[Any, P]] = field(init=False, repr=False, default_factory=dict)
     _failures: dict[str, Failure] = field(init=False, repr=False, default_factory=dict)
     _proven: set[str] = field(init=False, repr=False, default_factory=set)
 
@@ -283,14 +284,21 @@ class ModelHypotheses(Generic[P]):
         """The model with the named effects, perturbations or faults added; InputError for an unknown name."""
         key = tuple(sorted(names))
         if key not in self._fit_problems:
-            of_test = {fault.name for fault in self.pair.faults}
-            own = tuple(name for name in names if name not in of_test)
-            pair = self.pair.with_model(self.variants.with_effects(own), self.variants.added(own) if own else None)
+            own = tuple(name for name in names if name not in self._of_test)
+            pair = self._pair_with(own)
             space = fit_problem_space(self.space, [self._known[n] for n in key])
             self._fit_problems[key] = VariantProblem(
                 pair, space, remembered=_REMEMBERED, counts=self.counts, hypotheses=self
             )
         return self._fit_problems[key]
+
+    def _pair_with(self, names: tuple[str, ...]) -> P:
+        """The test of the model with named effects; all effects without degrees of freedom of their own share one."""
+        model, added = self.variants.with_effects(names), self.variants.added(names) if names else None
+        key = id(model), added
+        if key not in self._pairs:
+            self._pairs[key] = model, self.pair.with_model(model, added)  # kept, so that no other takes its number
+        return self._pairs[key][1]
 
     def unpaired(self, names: tuple[str, ...], values: Mapping[str, float]) -> frozenset[str]:
         """Measured modes for which that model has no partner at named values."""
@@ -299,9 +307,15 @@ class ModelHypotheses(Generic[P]):
 
     def linear_start(self, names: tuple[str, ...], values: Mapping[str, float]) -> dict[str, float] | None:
         """Values from a linear solution about named ones, from which that model can be fitted; None where none is."""
+        if not has_linear_start(self.pair):
+            return None
         fit_problem = self.fit_problem(names)
         found = linear_starts(fit_problem, fit_problem.pair.space.complete(dict(values)))
         return {**values, **{name: v for name, v in found[0].items() if name in fit_problem.space}} if found else None
+
+    @cached_property
+    def _of_test(self) -> frozenset[str]:
+        return frozenset(fault.name for fault in self.pair.faults)
 
     @cached_property
     def _known(self) -> dict[str, Candidate]:

@@ -7,7 +7,7 @@ are linear in the matrices and have no such minima, so their solution comes near
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, TypeGuard
 
 import numpy as np
 import scipy.linalg as la
@@ -91,6 +91,11 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
     return {**values, **point}
 
 
+def has_linear_start(pair: object) -> TypeGuard[FRFResidual]:
+    """Whether fits of a test have a linear start: FRFs alone."""
+    return isinstance(pair, FRFResidual)
+
+
 def linear_starts(
     problem: PairProblem[Any] | JointProblem, values: Mapping[str, float]
 ) -> tuple[dict[str, float], ...]:
@@ -101,7 +106,7 @@ def linear_starts(
     parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
     found: dict[str, float] = {}
     for part in parts:
-        if isinstance(part.pair, FRFResidual):
+        if has_linear_start(part.pair):
             own = {name: value for name, value in values.items() if name in part.pair.space}
             found |= linear_start(part.pair, part.space, part.pair.space.complete(own)) or {}
     return ({name: found.get(name, value) for name, value in values.items()},) if found else ()

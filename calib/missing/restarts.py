@@ -110,9 +110,11 @@ def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:
         e.name: -1.0 if e.signed and found.z[found.best(e.name)] < 0 else 1.0 for e in effects if e.name in found.owners
     }
     for name in order:
+        fits.announce("")
         if not by_name[name].grid and not fits.spent():
             out += _at_magnitudes(fits, nominal, by_name[name], sign[name])
     for name, side in sign.items():
+        fits.announce("")
         if not fits.spent():
             effect = by_name[name]
             point = dict(found.points[found.best(name)]) or {name: side * effect.plausible}

@@ -254,11 +254,6 @@ class StructuralModel(Analytic):
         return not self.damping.is_zero
 
     @property
-    def dissipates(self) -> bool:
-        """Whether its modes are damped at the nominal or other parameter values."""
-        return self.is_damped and super().dissipates
-
-    @property
     def places(self) -> tuple[ModelPlace, ...]:
         """Where its springs, dampers, masses, supports and parameters are; see `model_places`."""
         return model_places(self)

@@ -50,6 +50,18 @@ def test_a_small_model_needs_no_basis(study, results):
     assert hypotheses.space is study.search_space and hypotheses.pair.problem is study.problem
 
 
+def test_candidates_share_one_test_of_one_model(study, results):
+    """Of hundreds of candidates each would else locate all sensors, and ask whether its model is damped."""
+    hypotheses, local = modal_hypotheses(study, results)
+    plain = [e.name for e in hypotheses.effects if not hypotheses.variants.added((e.name,))]
+    names = [*plain, *(one.effect.name for one in local[:3])]
+    assert len({id(hypotheses.fit_problem((name,)).pair) for name in names}) == 1 < len(names)
+    assert hypotheses.fit_problem(()).pair is not hypotheses.fit_problem((names[0],)).pair  # without a `base`
+    known = dict(hypotheses._fit_problems)
+    assert hypotheses.linear_start(("no such effect",), {}) is None  # modes have none: no model is made for it
+    assert hypotheses._fit_problems == known
+
+
 def test_local_perturbations_are_at_every_part_and_every_used_sensor(study, results):
     perturbations = [a for a in modal_hypotheses(study, results)[1] if not a.effect.of_measurement]
     assert {a.effect.name for a in perturbations if not a.sensor} == {

@@ -129,3 +129,6 @@ def test_every_effect_is_started_from_its_linear_solution(toy):
     enough = 1.5 * len(one.rows)
     assert predicted < enough < min(found.fit.misfit for found in astray)
     assert refitted[0].names == ("E0",) and refitted[0].fit.misfit < enough
+    told = list[tuple[object, ...]]()
+    restarts._starts(Refits(solved, decision.DEFAULT, 1.0, lambda *stage: told.append(stage)), solved.effects)
+    assert len(told) > len(solved.effects)  # of hundreds, each may take a while

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -148,8 +148,10 @@ class Readings:
         object.__setattr__(self, "_by_name", {fault.name: fault for fault in self.faults})
         object.__setattr__(self, "_rows", {source: k for k, source in enumerate(sources)})
 
-    def __contains__(self, name: str) -> bool:
-        return name in self._by_name
+    @property
+    def names(self) -> Collection[str]:
+        """Names of the faults."""
+        return self._by_name.keys()
 
     def shape(self, at: Mapping[str, float], omega: float, shape: np.ndarray, motions: np.ndarray) -> np.ndarray:
         """Reading of a shape.
@@ -216,4 +218,4 @@ class Readings:
 
     def active(self, values: Mapping[str, float]) -> dict[str, float]:
         """Magnitudes among named values that are not 0."""
-        return {name: values[name] for name in self._by_name if values.get(name, 0.0) != 0}
+        return {name: value for name, value in values.items() if value != 0 and name in self._by_name}

@@ -35,8 +35,10 @@ class FaultyModes:
     def __post_init__(self) -> None:
         object.__setattr__(self, "readings", Readings(self.faults, 2 * np.pi * self.problem.measured.natural_freq))
 
-    def __contains__(self, name: str) -> bool:
-        return name in self.readings
+    def without(self, values: Mapping[str, float]) -> dict[str, float]:
+        """Values without the magnitudes of faults."""
+        names = self.readings.names
+        return {name: value for name, value in values.items() if name not in names}
 
     @cached_property
     def _sources(self) -> sp.csr_array:
@@ -49,7 +51,7 @@ class FaultyModes:
         Modes already ``solved`` there are reused. EvaluationError when the model cannot be solved there.
         """
         at, problem, readings = self.readings.active(values), self.problem, self.readings
-        found = problem.compare({name: value for name, value in values.items() if name not in readings}, solved)
+        found = problem.compare(self.without(values), solved)
         if not at:
             return found
         if not problem.measured.has_shapes or not readings.reach_shapes(at):

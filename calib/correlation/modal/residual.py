@@ -202,15 +202,16 @@ class ModalResidual:
         self, values: Mapping[str, float], names: Sequence[str], at: Callable[[Mapping[str, float]], Comparison]
     ) -> np.ndarray:
         """The Jacobian with solutions from ``at``."""
-        own = [name for name in names if name not in self._faulty]
+        of_test = self._faulty.readings.names
+        own = [name for name in names if name not in of_test]
         found = at(self.regular(values, own))
         if len(own) == len(names):
             return self.slope_of(found, names, self.derivatives(found, names, at))
         columns = np.zeros((self.n_rows, len(names)))
         if own:
-            columns[:, [name not in self._faulty for name in names]] = self.slope(values, own, at)
+            columns[:, [name not in of_test for name in names]] = self.slope(values, own, at)
             found = at(values)
-        faults = [k for k, name in enumerate(names) if name in self._faulty]
+        faults = [k for k, name in enumerate(names) if name in of_test]
         columns[:, faults] = self._fault_slopes(found, [names[k] for k in faults])
         return columns
 
@@ -245,7 +246,7 @@ class ModalResidual:
     def regular(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Point at which derivatives by the named parameters are taken; see `beside_roots`."""
         mesh = self.problem.mesh
-        own = {name: value for name, value in values.items() if name not in self._faulty}
+        own = self._faulty.without(values)
         if mesh is not None:
             own, names = mesh.without(own), mesh.others(names)
         point = beside_roots(self.problem.space, self.problem.model.roots, own, names)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Protocol, Self, TypeAlias
 
 import numpy as np
@@ -36,6 +37,11 @@ class DifferentiableModel(Protocol):
     @property
     def space(self) -> ParameterSpace:
         """Parameters, each with its own unit."""
+        ...
+
+    @property
+    def is_damped(self) -> bool:
+        """Whether there is a damping matrix."""
         ...
 
     def matrices(self, values: Mapping[str, float]) -> tuple[Matrix, Matrix, Matrix]:
@@ -80,9 +86,11 @@ class ModeDerivatives:
 class Analytic:
     """The part of `calib.structure.modal_model.ModalModel` that follows from matrices and their derivatives."""
 
-    @property
+    @cached_property
     def dissipates(self: DifferentiableModel) -> bool:
         """Whether its modes are damped at the nominal or other parameter values."""
+        if not self.is_damped:
+            return False
         values = self.space.values
         # Derivatives are evaluated only where needed: some matrices have none at 0.
         slopes = (self.matrix_derivatives(values, name) for name in self.space.names)
