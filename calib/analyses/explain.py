@@ -211,8 +211,15 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
     """InputError, before any solve, where an effect cannot be built or two models have different ones of one name."""
     known: dict[str, Effect] = {}
     for model, effects in libraries:
-        for effect in (one for simplest in effects for one in simplest.family):
+        every = [one for simplest in effects for one in simplest.family]
+        try:
+            with_effects(model, effects, place)  # hundreds at once
+            alone = [one for simplest in effects for one in simplest.family if one is not simplest]
+        except InputError:
+            alone = every  # to tell which one does not fit
+        for effect in alone:
             with_effects(model, [effect], place)
+        for effect in every:
             other = known.setdefault(effect.name, effect)
             if other.parameters != effect.parameters:
                 raise InputError(

@@ -13,11 +13,12 @@ from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.structure.affine import Monomial
 from calib.structure.effects.attach import joined_nodes, mounted_dampers, part_of, relative_rotation
-from calib.structure.effects.composition import Names
+from calib.structure.effects.composition import Names, dynamic_factor
 from calib.structure.effects.extend import extend
 from calib.structure.effects.part_compositions import _alike, of_joints, of_mounts, of_supports
 from calib.structure.effects.point_compositions import further_spots, mirrored, of_sensors
 from calib.structure.elongations import elongations
+from calib.structure.rules import RULES
 from models.railway.rig import bogie_on_rig
 
 MIDDLE = 15.0
@@ -142,6 +143,19 @@ def test_both_places_of_a_symmetric_pair_have_the_same(bogie, sensors):
     (term,) = pair.effect.build(bogie).stiffness
     np.testing.assert_allclose(term.matrix.toarray(), sum(np.outer(b, b) for b in alone), atol=1e-12)
     assert {c.kind for c in found} >= {"added mass", "damper to ground", "spring between", "damper between"}
+
+
+def test_springs_and_dampers_are_sized_by_the_flexibility_at_their_ends(bogie, sensors):
+    made = of_sensors(bogie, sensors, bogie.space.values, Names(()), MIDDLE)
+    found = {(c.kind, c.at): c.effect.plausible for c in made}
+    factor, (a, b, c) = dynamic_factor(bogie, bogie.space.values, MIDDLE), bogie.sensor_rows(sensors[:3])
+    for kind, at, rows in (
+        ("to ground", "sensor 1y", [a]), ("to ground", "sensors 1y and 2y", [a, b]),
+        ("between", "sensors 1y and 3y", [a - c]),
+    ):  # fmt: skip
+        size = RULES.local / min(row @ factor.solve(row) for row in rows)
+        assert found[f"spring {kind}", at] == pytest.approx(size, rel=1e-9)
+        assert found[f"damper {kind}", at] == pytest.approx(size / (2 * np.pi * MIDDLE), rel=1e-9)
 
 
 def test_crossing_connections_of_corners_have_their_common_middle_once(bogie, sensors):

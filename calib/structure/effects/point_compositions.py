@@ -76,10 +76,11 @@ def of_sensors(
     if not sensors:
         return
     rows = model.sensor_rows(sensors)
-    factor, added = dynamic_factor(model, values, middle), heavy(model, model.matrices(values)[2])
-
-    def size(row: np.ndarray) -> float:
-        return RULES.local / float(row @ factor.solve(row))
+    added = heavy(model, model.matrices(values)[2])
+    flexibility = rows @ dynamic_factor(model, values, middle).solve(np.ascontiguousarray(rows.T))
+    diagonal = np.diag(flexibility)
+    own = diagonal.tolist()
+    apart = (diagonal[:, None] + diagonal - flexibility - flexibility.T).tolist()  # of two sensors against each other
 
     spots = [spot for own in _by_place(sensors).values() if moving(model, (spot := _at_node(own[0])).place)]
     spots += further_spots(model, sensors)
@@ -92,16 +93,16 @@ def of_sensors(
     directions = [s.direction for s in sensors]
     for group in (*((k,) for k in range(len(sensors))), *mirrored(model, ground, directions)):
         for kind, weight in kinds.items():
-            own = [(sensors[k], None) for k in group]
-            yield _connection(f"{kind} to ground", own, names, weight * max(size(rows[k]) for k in group))
+            held = [(sensors[k], None) for k in group]
+            yield _connection(f"{kind} to ground", held, names, weight * RULES.local / min(own[k] for k in group))
     pairs = [pair for pair in _pairs(sensors) if np.abs(rows[pair[0]] - rows[pair[1]]).max() > 1e-9]
     ends = [tuple(p for p in (sensors[k].point, sensors[j].point) if p is not None) for k, j in pairs]
     directions = [sensors[k].direction for k, _ in pairs]
     for group in (*((k,) for k in range(len(pairs))), *mirrored(model, ends, directions)):
         for kind, weight in kinds.items():
             joined = [(sensors[pairs[k][0]], sensors[pairs[k][1]]) for k in group]
-            largest = max(size(rows[pairs[k][0]] - rows[pairs[k][1]]) for k in group)
-            yield _connection(f"{kind} between", joined, names, weight * largest)
+            least = min(apart[pairs[k][0]][pairs[k][1]] for k in group)
+            yield _connection(f"{kind} between", joined, names, weight * RULES.local / least)
 
 
 def further_spots(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Spot]:
