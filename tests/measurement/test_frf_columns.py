@@ -10,6 +10,7 @@ from scipy.io import savemat
 from calib.errors.errors import InputError
 from calib.measurement.files import matlab
 from calib.measurement.files.read_frf import read_frfs
+from calib.measurement.places import Doubt
 
 FREQ = np.arange(2.0, 22.0, 0.5)
 W = 2 * np.pi * FREQ
@@ -93,6 +94,22 @@ def test_units_behind_the_names_of_columns_must_agree(tmp_path):
     names = ["f", *(f"{name} {part} ({unit})" for name, unit in zip(VALUES, units, strict=True) for part in RE_IM)]
     path.write_text(wide(RE_IM, names=names, head=""))
     with pytest.raises(InputError, match="'m/N' and 'mm/N'"):
+        read_frfs(path)
+
+
+@pytest.mark.parametrize("foreign", ["Mic 7z/1z {} (Pa/N)", "Mic:7:z/1z {}", "Strain gauge 7z/1z {}"])
+def test_columns_of_a_microphone_are_left_out_and_noted(tmp_path, foreign):
+    path, names = tmp_path / "wide.csv", [f"{name} {part}" for name in VALUES for part in RE_IM]
+    rows = wide(RE_IM, names=["f", *names]).splitlines()
+    at = next(k for k, row in enumerate(rows) if row.startswith("f,"))
+    more = [foreign.format(part) for part in RE_IM]
+    every = [",".join([row, *(more if k == 0 else ["3.0", "4.0"])]) for k, row in enumerate(rows[at:])]
+    path.write_text("\n".join([*rows[:at], *every]))
+    found = read_frfs(path)
+    check(found)
+    assert [note for note in found.notes if isinstance(note, Doubt) and more[0] in note]
+    path.write_text("\n".join([*rows[:at], ",".join(["f", *more]), "1,3,4", "2,3,4"]))
+    with pytest.raises(InputError, match="no motion"):
         read_frfs(path)
 
 

@@ -27,6 +27,7 @@ from calib.measurement.frf import NO_PHASE, QUANTITIES, Quantity
 from calib.measurement.frf_repeats import FRFRepeat, Key, common_axis, function_name, off_axis, on_axis, repeat_of
 from calib.measurement.frf_units import FRFUnits, parse_unit
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.places import Doubt
 from calib.results.table import TableRow, read_rows
 
 _STATED = re.compile(r"#\s*(quantity|unit)\s*[:=]\s*(.*?)[\s,;]*", re.IGNORECASE)
@@ -44,16 +45,16 @@ def read_columns_frfs(
     See `calib.measurement.files.frf_columns`; quantity and unit as for `read_frfs_csv`. ``variables`` names those of a
     MATLAB file, or the ``sheet`` of a workbook.
     """
-    named = dict(variables or {})
+    named, left_out = dict(variables or {}), tuple[Doubt, ...]()
     if paths[0].suffix.lower() in MATLAB:
         axis, functions, coherence, behind = *arrays_of(paths[0], named, channels), None
     elif len(paths) == 1:
-        axis, functions, coherence, behind = read_columns(paths[0], channels, named.get("sheet"))
+        axis, functions, coherence, behind, left_out = read_columns(paths[0], channels, named.get("sheet"))
     else:
         axis, functions, coherence, behind = read_function_files(paths, channels)
     found, units, notes = _stated(paths[0], quantity, unit, behind)
     functions = {key: values * units.factor(key) for key, values in functions.items()}
-    return repeat_of(", ".join(map(str, paths)), axis, found, functions, coherence, notes)
+    return repeat_of(", ".join(map(str, paths)), axis, found, functions, coherence, [*notes, *left_out])
 
 
 def read_frfs_csv(

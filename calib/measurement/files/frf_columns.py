@@ -12,12 +12,14 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.measurement.files.csv_format import END, FREQ_LIMIT, VALUE_LIMIT, parse_end, titled
+from calib.measurement.files.csv_format import END, FREQ_LIMIT, NO_MOTION, VALUE_LIMIT, parse_end, titled
 from calib.measurement.frf import NO_PHASE
-from calib.measurement.frf_repeats import Key, function_name, off_axis
+from calib.measurement.frf_repeats import Key, few, function_name, off_axis
 from calib.measurement.modal import DIRECTIONS
+from calib.measurement.places import Doubt
 
 _CHANNEL = re.compile(rf"{END}\s*/\s*{END}", re.ASCII)
+_FOREIGN = re.compile(rf"(?<![a-z])({NO_MOTION})", re.ASCII | re.IGNORECASE)
 _PARTS: Mapping[str, str] = {
     "re": "re", "real": "re", "im": "im", "imag": "im", "imaginary": "im", "mag": "magnitude", "magnitude": "magnitude",
     "amplitude": "magnitude", "amp": "magnitude", "abs": "magnitude", "modulus": "magnitude", "phase": "phase",
@@ -63,13 +65,14 @@ def unit_of_columns(names: Sequence[str], place: str | Path) -> str | None:
 
 def read_columns(
     path: Path, channels: Sequence[str] = (), sheet: str | None = None
-) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray], str | None]:
+) -> tuple[np.ndarray, dict[Key, np.ndarray], dict[Key, np.ndarray], str | None, tuple[Doubt, ...]]:
     """Frequencies, functions and coherences from a table with the functions side by side.
 
     The first column holds the frequencies in Hz. Each function has two more, real and imaginary part, or magnitude and
     phase, and may have its coherence. A column is named by channel and part, such as ``2z/1z re`` or
     ``2z/1z phase (deg)``, ``Point2:+Z/Point1:+Z Mag (g/N)``; phases are in degrees unless the name says rad, magnitudes
     may be in dB where it says so.
+    Columns of a channel that measures no motion, such as ``Mic 2z/1z re``, are left out and noted.
     With ``channels`` the names need tell the part alone, and without any names the parts are real and imaginary.
 
     Returns
@@ -80,6 +83,7 @@ def read_columns(
     coherence : dict from Key to ndarray (n_freq,)
     unit : str or None
         Behind the names of the columns.
+    notes : tuple of Doubt
 
     Raises
     ------
@@ -96,6 +100,12 @@ def read_columns(
         raise InputError(f"its frequencies are in {unit!r:.40}", place=path, remedy="give them in Hz")
     if not np.all(np.isfinite(freq)) or freq.min() < 0 or freq.max() >= FREQ_LIMIT:
         raise InputError("a frequency in its first column is none", place=path, remedy="give it in Hz")
+    foreign = [name for name in columns[1:] if not channels and _is_foreign(name)]
+    if foreign and len(foreign) == len(columns) - 1:
+        words = f"its columns, such as {foreign[0]!r:.60}, are of no motion"
+        raise InputError(words, place=path, remedy="give functions of accelerations, velocities or displacements")
+    own_columns = [k for k, name in enumerate(columns) if name not in foreign]
+    columns, table = [columns[k] for k in own_columns], table[:, own_columns]
     parts: dict[tuple[Key, int], dict[str, np.ndarray]] = {}
     given, order = [channel_of(one, path) for one in channels], -1
     seen: set[str] = set()
@@ -127,7 +137,14 @@ def read_columns(
         words = f"{function_name(twice)} is there along and against an axis"
         raise InputError(words, place=path, remedy="keep one")
     coherence = {key: own["coherence"][rows] for (key, _), own in parts.items() if "coherence" in own}
-    return freq[rows], functions, coherence, unit_of_columns(columns[1:], path)
+    notes = (Doubt(f"{path}: left out, since it measures no motion: {few(foreign)}"),) if foreign else ()
+    return freq[rows], functions, coherence, unit_of_columns(columns[1:], path), notes
+
+
+def _is_foreign(column: str) -> bool:
+    """Whether what stands before the channel names something else than a motion."""
+    match = _CHANNEL.search(column)
+    return match is not None and _FOREIGN.search(column[: match.start()]) is not None
 
 
 def read_function_files(
@@ -139,7 +156,7 @@ def read_function_files(
     coherence: dict[Key, np.ndarray] = {}
     units: dict[str | None, Path] = {}
     for path, channel in zip(paths, channels, strict=True):
-        freq, own, gamma, unit = read_columns(path, [channel])
+        freq, own, gamma, unit, _ = read_columns(path, [channel])
         units.setdefault(unit, path)
         axis = freq if axis is None else axis
         if off_axis(freq, axis).any():
