@@ -247,22 +247,32 @@ class PairProblem(Generic[P]):
         return known[""]
 
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Derivative of the residual per unit of each parameter, (n_rows, n_params)."""
+        """Derivative of the residual per unit of each parameter, (n_rows, n_params); EvaluationError for NaN in it."""
         complete = self.pair.space.complete(dict(values))
         if self.store is None or self.pair.told_by_responses:
-            return self.pair.slope(complete, names, self.at)
+            return self._slope(complete, names)
         key = point_key(complete)
         known = self.store.vectors(self._identity, key, names)
         new = [name for name in names if name not in known]
         if is_collecting():
-            return self.pair.slope(complete, new, self.at)
+            return self._slope(complete, new)
         if new:
-            columns = dict(zip(new, self.pair.slope(complete, new, self.at).T, strict=True))
+            columns = dict(zip(new, self._slope(complete, new).T, strict=True))
             self.store.keep_vectors(self._identity, key, columns)
             known = known | columns
         elif names:
             self.counts.reused += 1
         return np.column_stack([known[name] for name in names]) if names else np.zeros((len(self.rows), 0))
+
+    def _slope(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
+        slope = self.pair.slope(values, names, self.at)
+        wrong = np.argwhere(~np.isfinite(slope))
+        if len(wrong):
+            row, column = wrong[0].tolist()
+            label = self.rows[row]
+            of = " ".join(filter(None, [label.kind, label.mode, label.sensor]))
+            raise EvaluationError(f"the derivative of {of} by {names[column]} is not finite")
+        return slope
 
     def frequencies(
         self, values: Mapping[str, float], names: Sequence[str]

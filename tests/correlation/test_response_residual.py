@@ -1,5 +1,6 @@
 """Derivatives of scalar responses: the function's own where it returns them, differences elsewhere."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,12 @@ import pytest
 
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
+from calib.errors.errors import EvaluationError
+from calib.inference.gauss_newton import fit
 from calib.problem.effect import Effect
+from calib.problem.problem import PairProblem
 from calib.problem.space import Parameter, ParameterSpace
+from calib.results.ledger import Ledger
 from calib.structure.function_model import FunctionModel, extend_function, slope_entry
 
 SPACE = ParameterSpace((Parameter("a", 2.0, 1.0, 3.0), Parameter("b", 1.0, 0.0, 2.0)))
@@ -39,6 +44,25 @@ def test_derivatives_of_the_function_save_its_calls(entries, calls):
     slope = residual.jacobian(AT, ["b", "a"])
     assert slope == pytest.approx(-np.array([[4.0, 4.0], [1.0, 1.0]]) / [[0.1], [0.5]], rel=1e-6)
     assert function.calls == calls
+
+
+class Singular(ResponseResidual):
+    """Whose derivative of y by b does not exist."""
+
+    def slope(self, values, names, at):
+        slope = super().slope(values, names, at)
+        slope[1, [name == "b" for name in names]] = math.nan
+        return slope
+
+
+@pytest.mark.parametrize("stored", [False, True])
+def test_a_derivative_that_is_not_finite_is_named(tmp_path, stored):
+    store = Ledger.open(tmp_path / "ledger.sqlite") if stored else None
+    problem = PairProblem(Singular(FunctionProblem(SPACE, Counted(), TARGETS, "")), SPACE, store)
+    assert np.isfinite(problem.jacobian(AT, ["a"])).all()
+    for attempt in (lambda: problem.jacobian(AT, ["a", "b"]), lambda: fit(problem, SPACE)):
+        with pytest.raises(EvaluationError, match="response y by b"):
+            attempt()
 
 
 def test_an_integer_counts_as_fixed_also_with_a_derivative():
