@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors.errors import InputError
+from calib.execution.stage import Progress, silent
 from calib.measurement.files.read import Named, found_files
 from calib.measurement.files.read_frf import FRFReading, frfs_and_repeats
 from calib.measurement.files.read_records import hold_records, read_records
@@ -46,6 +47,7 @@ def identify_modes(
     *,
     band: tuple[float, float] | None = None,
     accept: Sequence[float] = (),
+    progress: Progress = silent,
 ) -> Written:
     """Identify modes from files of FRFs, hammer records or records of responses alone, and write them to a folder.
 
@@ -68,6 +70,8 @@ def identify_modes(
     accept : sequence of float
         Natural frequencies, Hz, of refused modes that are kept all the same; ``modes.csv`` tells so in a column
         ``note``.
+    progress : Progress
+        As of `modes_from_frfs`.
 
     Raises
     ------
@@ -90,7 +94,7 @@ def identify_modes(
     whole, every = frfs_and_repeats(paths, how)
     low, high = band or (whole.lowest_freq, float(whole.freq[-1]))
     frfs, *repeats = (one.in_band(low, high) for one in (whole, *every))
-    found = modes_from_frfs(frfs, repeats, accept=accept)
+    found = modes_from_frfs(frfs, repeats, accept=accept, progress=progress)
     unit = frfs.unit(frfs.responses[0], frfs.references[0])
     return Written(found, _write(found, unit, into))
 

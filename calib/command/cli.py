@@ -105,17 +105,18 @@ def modes(
     Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
     orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
     """
+    from calib.api import progress
     from calib.api.entries.identified import identified_entries
     from calib.api.modes import identify_modes
     from calib.execution.tasks import one_thread
     from calib.measurement.files.read_frf import FRFReading
 
-    with one_thread():
+    with one_thread(), progress.bars("modes") as told:
         how = FRFReading(
             None if quantity is None else quantity.value, unit, sensors, averages, listed(channels),
             assigned(variables), None, estimator.value, exponential_window, synthetic,
         )  # fmt: skip
-        written = identify_modes(files, into, how, band=band, accept=accept or ())
+        written = identify_modes(files, into, how, band=band, accept=accept or (), progress=told)
     terminal.tell_entries(identified_entries(written), verbose)
 
 

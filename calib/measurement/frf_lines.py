@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 
 from calib.measurement.rules import RULES
 
@@ -30,8 +31,9 @@ class Resonance(NamedTuple):
 
 
 def resonances(
-    freq: np.ndarray, power: np.ndarray, prominence: float = RULES.prominence, noise: np.ndarray | float = 0.0
-) -> tuple[Resonance, ...]:
+    freq: np.ndarray, power: np.ndarray, prominence: float = RULES.prominence, noise: np.ndarray | float = 0.0,
+    mean_of: int = 1,
+) -> tuple[Resonance, ...]:  # fmt: skip
     """Peaks with their half-power widths, in ascending order.
 
     Parameters
@@ -44,13 +46,17 @@ def resonances(
         See `RULES.prominence`; at least 3 dB, below which a peak has no half-power width.
     noise : ndarray (n_freq,) or float
         Mean power of the noise; see `RULES.above_noise`.
+    mean_of : int
+        Lines, an odd number, over whose mean power peaks are sought; their places and widths are of single lines.
     """
     from scipy.signal import find_peaks  # slow to import, and not every command looks for resonances
 
-    level = 10 * np.log10(np.maximum(power, 1e-300))
-    peaks, _ = find_peaks(level, prominence=max(prominence, HALF_POWER))
-    loud = peaks[(power >= RULES.above_noise * noise)[peaks]]
-    return tuple(Resonance(float(freq[k]), _width(freq, level, k)) for k in loud.tolist())
+    level, mean = 10 * np.log10(np.maximum(power, 1e-300)), uniform_filter1d(power, mean_of, mode="nearest")
+    peaks, _ = find_peaks(10 * np.log10(np.maximum(mean, 1e-300)), prominence=max(prominence, HALF_POWER))
+    loud = peaks[(mean >= RULES.above_noise * noise)[peaks]]
+    firsts = np.clip(loud - mean_of // 2, 1, len(freq) - 2)
+    highest = [first + int(np.argmax(level[first : min(first + mean_of, len(freq) - 1)])) for first in firsts.tolist()]
+    return tuple(Resonance(float(freq[k]), _width(freq, level, k)) for k in highest)
 
 
 def _width(freq: np.ndarray, level: np.ndarray, peak: int) -> float:

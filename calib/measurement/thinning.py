@@ -5,17 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from scipy.ndimage import median_filter, uniform_filter1d
 
-from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_lines import resonances
+from calib.measurement.frf import MeasuredFRFs, MeasuredFunction
+from calib.measurement.frf_lines import Resonance, resonances
 from calib.measurement.rules import RULES
 
 DEGREE, NEIGHBOURS = 4, 2
 """Of the polynomial, and groups to both sides through which it goes."""
+SMOOTHED, QUIET = 9, 31
+"""Lines over which the power is averaged before resonances are sought in it, and over which that of the noise is: among
+thousands of lines noise has peaks of its own."""
 _POWER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
 
-def thinned(frfs: MeasuredFRFs, most: int = RULES.lines_most) -> MeasuredFRFs:
+def thinned(frfs: MeasuredFRFs, most: int = RULES.lines_most, like: MeasuredFRFs | None = None) -> MeasuredFRFs:
     """FRFs with more lines than ``most`` as means over groups of lines; others as they are.
 
     A group is as wide as `RULES.group_width` of the distance from its first line to the nearest pole: resonances of any
@@ -30,6 +34,8 @@ def thinned(frfs: MeasuredFRFs, most: int = RULES.lines_most) -> MeasuredFRFs:
     ----------
     frfs : MeasuredFRFs
     most : int
+    like : MeasuredFRFs, optional
+        Mean over the repeats on the same lines, whose resonances set the groups of each repeat; default the FRFs.
 
     Returns
     -------
@@ -38,7 +44,7 @@ def thinned(frfs: MeasuredFRFs, most: int = RULES.lines_most) -> MeasuredFRFs:
     """
     if len(frfs.freq) <= most:
         return frfs
-    poles = _poles(frfs)
+    poles = _poles(like or frfs)
     starts = _starts(frfs.freq, poles)
     ends = np.append(starts, len(frfs.freq))
     freq = np.add.reduceat(frfs.freq, starts) / np.diff(ends)
@@ -80,16 +86,41 @@ def _bend(freq: np.ndarray, weight: np.ndarray, centre: float) -> np.ndarray:
     return np.asarray(moments[2:] @ np.linalg.pinv(powers)[2:])
 
 
+def resonances_of_many(frfs: MeasuredFRFs) -> tuple[Resonance, ...]:
+    """Resonances in the power of all functions, of so many lines that some of noise look like them."""
+    both = np.zeros((2, len(frfs.freq)))
+    for one in frfs.functions:
+        both += [np.interp(frfs.freq, frfs.freq[one.lines], own) for own in _power_and_noise(frfs, one)]
+    return resonances(frfs.freq, both[0], RULES.prominence, both[1], SMOOTHED)
+
+
+def _power_and_noise(frfs: MeasuredFRFs, one: MeasuredFunction) -> tuple[np.ndarray, np.ndarray]:
+    """Power of a function and mean power of its noise, both (n_lines,)."""
+    own = frfs.values[one.index]
+    return np.abs(own) ** 2, _noise(own, frfs.std[one.index])
+
+
 def _poles(frfs: MeasuredFRFs) -> np.ndarray:
     """Resonances of single functions and of all, and the ends of the lines, as ``i f - w/2``, Hz."""
-    found = list(frfs.resonances())
+    found = list(resonances_of_many(frfs))
     for one in frfs.functions:
-        own, std = frfs.values[one.index], np.nan_to_num(frfs.std[one.index])
-        found += resonances(frfs.freq[one.lines], np.abs(own) ** 2, RULES.prominence, 2 * std**2)
+        power, noise = _power_and_noise(frfs, one)
+        found += resonances(frfs.freq[one.lines], power, RULES.prominence, noise, SMOOTHED)
     widths = [one.width for one in found]
     end = float(np.median(widths)) if widths else float(frfs.freq[-1] - frfs.freq[0]) / len(frfs.freq)
     ends = [complex(-end / 2, f) for f in (frfs.freq[0], frfs.freq[-1])]
     return np.array([complex(-one.width / 2, one.freq) for one in found] + ends)
+
+
+def _noise(values: np.ndarray, std: np.ndarray) -> np.ndarray:
+    """Mean power of the noise around each line, (n_lines,): by standard deviations, or how far lines leave a parabola.
+
+    Second differences of independent errors have 3/2 of their power, whose median is ln 2 of its mean.
+    """
+    if np.all(std > 0) or len(values) <= QUIET:
+        return np.asarray(uniform_filter1d(2 * np.nan_to_num(std) ** 2, QUIET, mode="nearest"))
+    bent = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2) ** 2
+    return np.asarray(median_filter(np.pad(bent, 1, mode="edge"), QUIET, mode="nearest") / (1.5 * np.log(2)))
 
 
 def _starts(freq: np.ndarray, poles: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from calib.measurement import rules as reading
 from calib.measurement.frf import MeasuredFRFs
-from calib.measurement.frf_lines import resonances
+from calib.measurement.thinning import resonances_of_many
 from calib.modal_analysis.model import ModalFRFModel, refined_again
 from calib.modal_analysis.rules import RULES
 
@@ -65,8 +65,7 @@ def fits(frfs: MeasuredFRFs, model: ModalFRFModel, n_modes: int) -> tuple[Adequa
 
 def resonances_without_mode(frfs: MeasuredFRFs, poles: np.ndarray) -> tuple[float, ...]:
     """Resonances in the power of the FRFs with no pole (rad/s) within a half-power width or two lines, Hz."""
-    noise = 2 * np.nansum(np.where(np.isfinite(frfs.values), frfs.std, 0.0) ** 2, axis=(1, 2))
-    found = resonances(frfs.freq, frfs.power, reading.RULES.prominence, noise)
+    found = frfs.resonances() if len(frfs.freq) <= reading.RULES.lines_most else resonances_of_many(frfs)
     own, lines = np.abs(poles) / (2 * np.pi), 2 * float(np.max(np.diff(frfs.freq)))
     return tuple(one.freq for one in found if not np.any(np.abs(own - one.freq) <= max(one.width, lines)))
 

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.execution.stage import Progress, silent
 from calib.measurement.alignment import scaled
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import without_gaps
 from calib.measurement.mac import most_real, phase_collinearity
 from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.thinning import thinned
 from calib.modal_analysis.adequacy import adequacy, resonances_without_mode
 from calib.modal_analysis.identification import INSTEAD, Identification
 from calib.modal_analysis.judgement import (
@@ -41,10 +43,14 @@ from calib.modal_analysis.stabilisation import (
     with_accepted,
 )
 
+IDENTIFYING = "identifying all repeats, and all but one"
+"""Name of the stage."""
+
 
 def modes_from_frfs(
-    frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = (), *, accept: Sequence[float] = ()
-) -> Identification:
+    frfs: MeasuredFRFs, repeats: Sequence[MeasuredFRFs] = (), *, accept: Sequence[float] = (),
+    progress: Progress = silent,
+) -> Identification:  # fmt: skip
     """Identify modes by stable poles, refine them by least squares, and check them against the FRFs.
 
     The poles come from the least-squares complex frequency method at ascending orders (`poles_by_order`), of the whole
@@ -55,6 +61,8 @@ def modes_from_frfs(
     is refused where two modes explain that better (`hidden_pairs`).
     A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), where its shape
     is complex under one reference (`complex_shape`), or where it does not appear whichever repeat is left out.
+
+    Many lines are thinned to means over close ones first, those of each repeat alike; see `thinned`.
 
     Where the records of the FRFs bear an exponential window (``window_rate``), which moved every pole to the left by
     the same amount, the poles are moved back; a mode without damping of its own is refused.
@@ -75,6 +83,8 @@ def modes_from_frfs(
         Each repeat by itself, with the same functions and lines.
     accept : sequence of float
         Natural frequencies, Hz, of refused modes that are kept all the same, with a note.
+    progress : Progress
+        Told how many of the sets of repeats are identified.
 
     Raises
     ------
@@ -100,6 +110,10 @@ def modes_from_frfs(
     repeats = [without_gaps(one, frfs) for one in repeats]
     if frfs.freq[0] == 0:
         frfs = frfs.in_band(frfs.lowest_freq, float(frfs.freq[-1]))
+    every_line, repeats = frfs, [_in_order(one, frfs) for one in repeats]
+    frfs, *repeats = (thinned(one, like=every_line) for one in (frfs, *repeats))
+    sets = 1 + len(repeats) * (len(repeats) > 1)
+    progress(IDENTIFYING, 0, sets)
     whole = _identified(frfs, accept)
     n = len(whole.chains)
     if not n:
@@ -118,7 +132,7 @@ def modes_from_frfs(
     ]
     spread = Spread(moving.freq_std, moving.damping_std, _shapes_over_orders(frfs, whole))
     if len(repeats) > 1:
-        over, lacking = _jackknife(frfs, whole, [_in_order(one, frfs) for one in repeats], accept)
+        over, lacking = _jackknife(frfs, whole, repeats, accept, lambda k: progress(IDENTIFYING, 1 + k, sets))
         spread = _over_repeats(over, spread, [one.residual_std for one in checked])
         why = [
             own or ("not stable when one of the repeats is left out" if k in lacking else "")
@@ -163,7 +177,8 @@ def modes_from_frfs(
     own_notes = [f"mode {names[k]} is {note}" for k, note in accepted.items()]
     differ = scatter_of_modes({names[k]: moving.between[k] for k in kept})
     modes = replace(modes, notes=(*modes.notes, *(note for note in (told, differ) if note), *own_notes))
-    return Identification(modes, fit, poles, curves, resonances_without_mode(frfs, whole.model.poles[:n]), std_from)
+    missed = resonances_without_mode(every_line, whole.model.poles[:n])
+    return Identification(modes, fit, poles, curves, missed, std_from)
 
 
 def _freq_and_damping(poles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -249,7 +264,8 @@ def _in_order(repeat: MeasuredFRFs, frfs: MeasuredFRFs) -> MeasuredFRFs:
         _places(repeat, own, wanted)
         for own, wanted in ((repeat.responses, frfs.responses), (repeat.references, frfs.references))
     )
-    lines = np.abs(repeat.freq[:, None] - frfs.freq).argmin(axis=0)
+    after = np.clip(np.searchsorted(repeat.freq, frfs.freq), 1, len(repeat.freq) - 1)
+    lines = after - (2 * frfs.freq <= repeat.freq[after - 1] + repeat.freq[after])  # the nearest
     here = np.ix_(lines, i, j)
     return replace(
         repeat, freq=frfs.freq, responses=frfs.responses, references=frfs.references, values=repeat.values[here],
@@ -267,15 +283,17 @@ def _places(repeat: MeasuredFRFs, own: Sequence[Sensor], wanted: Sequence[Sensor
 
 
 def _jackknife(
-    frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs], accept: Sequence[float]
-) -> tuple[Spread, set[int]]:
+    frfs: MeasuredFRFs, whole: _Identified, repeats: Sequence[MeasuredFRFs], accept: Sequence[float],
+    told: Callable[[int], None],
+) -> tuple[Spread, set[int]]:  # fmt: skip
     """Standard deviations over the repeats, and the modes that some set of all repeats but one lacks."""
     n, values = len(repeats), np.array([one.values for one in repeats])
     less = float(np.sqrt(n / (n - 1)))
-    without = [
-        _identified(replace(frfs, values=np.delete(values, k, axis=0).mean(axis=0), std=frfs.std * less), accept)
-        for k in range(n)
-    ]
+    without = []
+    for k in range(n):
+        told(k)
+        others = np.delete(values, k, axis=0).mean(axis=0)
+        without.append(_identified(replace(frfs, values=others, std=frfs.std * less), accept))
     try:
         return jackknife(whole, without, [one.source for one in repeats])
     except InputError as fault:

@@ -111,7 +111,8 @@ def _beyond(frfs: MeasuredFRFs, poles: np.ndarray) -> np.ndarray:
     A resonance that lies just outside has a start near it, from which alone it is found.
     """
     few = slice(None, None, max(len(frfs.freq) // BEYOND_LINES, 1))
-    thin = replace(frfs, freq=frfs.freq[few], values=frfs.values[few], std=frfs.std[few])
+    behind = None if frfs.behind is None else frfs.behind[few]
+    thin = replace(frfs, freq=frfs.freq[few], values=frfs.values[few], std=frfs.std[few], behind=behind)
     functions = weighed(thin)
     inside = float(np.median(-poles.real / np.abs(poles))) if len(poles) else BEYOND_DAMPING
     tried = [(share, ratio) for share in BEYOND[::-1] for ratio in {BEYOND_DAMPING, inside}]
@@ -211,12 +212,15 @@ class Weighed(NamedTuple):
 
 
 def weighed(frfs: MeasuredFRFs) -> list[Weighed]:
-    """Functions by their standard deviations, each equally where these are not known on all lines."""
-    std = frfs.total_std
+    """Functions by their standard deviations, each equally where these are not known on all lines.
+
+    Equally is what single lines weigh: an entry that is the mean of several weighs as these.
+    """
+    std, equal = frfs.total_std, np.broadcast_to(1 / np.asarray(frfs.per_line), frfs.values.shape)
     out = []
     for one in frfs.functions:
         own, measured = std[one.index], frfs.values[one.index]
-        weight = 1.0 / own if np.all(own > 0) else np.ones(len(own))
+        weight = 1.0 / own if np.all(own > 0) else equal[one.index]
         out.append(Weighed(one, weight, np.concatenate([measured.real * weight, measured.imag * weight])))
     return out
 

@@ -221,7 +221,7 @@ def _lines_of_one(frfs: MeasuredFRFs) -> float:
     The correlation of noise between lines ``d`` apart is ``1/(1 + i pi d / a)`` under a window of rate a, and the sum
     of its squared moduli over all lines what is returned.
     """
-    reach = frfs.window_rate / float(np.median(np.diff(frfs.freq)))
+    reach = frfs.window_rate / float(np.min(np.diff(frfs.freq)))
     return float(reach / np.tanh(reach)) if reach > 0 else 1.0
 
 

@@ -68,7 +68,7 @@ def pole_chains(frfs: MeasuredFRFs, poles: Sequence[np.ndarray]) -> tuple[Chain,
         rad/s, by order from 1; see `calib.modal_analysis.poles.poles_by_order`.
     """
     chains: list[Chain] = []
-    finest = RULES.damping_lines * 2 * np.pi * float(np.median(np.diff(frfs.freq)))
+    finest = RULES.damping_lines * 2 * np.pi * float(np.min(np.diff(frfs.freq)))
     for order, found in enumerate(poles, start=1):
         own = found[-found.real < RULES.overdamped * np.abs(found)]
         if not len(own):

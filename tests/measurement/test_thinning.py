@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.rules import RULES
-from calib.measurement.thinning import thinned
+from calib.measurement.thinning import resonances_of_many, thinned
 
 N = 20
 TRUE = {"k1": 1.02, "k2": 0.97, "c": 1.3}
@@ -97,6 +97,29 @@ def test_few_lines_stay_and_gaps_count_fewer():
     true, _ = functions(few.freq, TRUE)
     errors = np.abs(few.values - true) / few.std / np.sqrt(2)
     assert np.sqrt(np.nanmean(errors**2)) == pytest.approx(1.0, abs=0.1)
+
+
+def test_repeats_are_thinned_by_the_resonances_of_their_mean():
+    frfs, rng = measured(2500), np.random.default_rng(5)
+    noise = frfs.std * rng.standard_normal(frfs.values.shape)
+    repeats = [replace(frfs, values=frfs.values + sign * noise) for sign in (-1, 1)]
+    few, *each = (thinned(one, like=frfs) for one in (frfs, *repeats))
+    assert len(few.freq) < 700
+    np.testing.assert_array_equal(each[0].freq, few.freq)
+    np.testing.assert_allclose((each[0].values + each[1].values) / 2, few.values, rtol=1e-10)
+
+
+@pytest.mark.parametrize("std_known", [True, False])
+def test_peaks_of_noise_are_no_resonances(std_known):
+    """Noise of a few repeats has a standard deviation of its own on each line, much too small on some."""
+    frfs, rng = measured(8000), np.random.default_rng(6)
+    parts = 3 * np.median(np.abs(frfs.values)) * rng.standard_normal((5, 2, *frfs.values.shape))
+    std = np.sqrt(np.mean(np.var(parts, axis=0, ddof=1), axis=0) / 5)
+    loud = frfs.values + (parts[:, 0] + 1j * parts[:, 1]).mean(axis=0)
+    few = thinned(replace(frfs, values=loud, std=std if std_known else np.full(std.shape, np.nan)))
+    assert len(few.freq) < 1000
+    peaks = [one.freq for one in resonances_of_many(replace(frfs, values=loud, std=std))]
+    assert peaks and all(min(abs(peak - one.freq) for one in frfs.resonances()) < 1.0 for peak in peaks)
 
 
 @pytest.mark.slow

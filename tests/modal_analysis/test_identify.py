@@ -63,6 +63,19 @@ def test_errors_are_as_large_as_the_standard_deviations_over_the_repeats_say():
 
 
 @pytest.mark.slow
+def test_many_lines_are_thinned_in_all_repeats_alike():
+    freq, told = np.linspace(CHAIN.FREQ[0], CHAIN.FREQ[-1], 4000), []
+    every = CHAIN.repeats_of(CHAIN.truth(CHAIN.TRUE, freq=freq), 3, 5)
+    mean, repeats = WORLDS.with_mean([replace(one, freq=freq) for one in every])
+    found = modes_from_frfs(mean, repeats, progress=lambda stage, done, total: told.append((done, total)))
+    assert len(found.curves) < 1000 and found.missed == () and told == [(k, 6) for k in range(6)]
+    errors = in_std(found.modes)
+    assert np.abs(errors).max() < 8.6 and np.median(np.abs(errors)) < 1.5
+    few = modes_from_frfs(*chain(3, 5)).modes
+    assert np.all(found.modes.freq_std < few.freq_std)  # as many more lines tell more
+
+
+@pytest.mark.slow
 def test_two_repeats_give_standard_deviations_and_more_noise_larger_ones():
     found = modes_from_frfs(*chain(7, 2))
     assert found.std_from == "repeats" and found.modes.n_repeats == 2
