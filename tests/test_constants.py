@@ -98,6 +98,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "structure/effects/compositions.py": "MODES RIGID _DIGITS",
     "structure/effects/rigid_joints.py": "_HELD _SYMMETRIC _ANGLE _TRIED _MOST",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
+    "hypotheses/modal_start.py": "ENOUGH EQUATION_ERROR EXPLAINED ROUNDS SENSORS",
     "hypotheses/design/imagined.py": "_TRIES",
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
@@ -124,7 +125,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "missing/effect_facts.py": "_ASKED _CLOSE _INWARD _LEAST",
     "modal_analysis/ambient.py": "DECIMATED_MOST",
     "modal_analysis/scatter.py": "STEPS PAIR_START",
-    "measurement/thinning.py": "DEGREE NEIGHBOURS _POWER",
+    "measurement/thinning.py": "DEGREE NEIGHBOURS QUIET SMOOTHED _POWER",
     "modal_analysis/setups.py": "ROUNDS LEAST_STD",
     "modal_analysis/model.py": "ROUNDS EVALUATIONS SMALLEST_STEP BEYOND BEYOND_DAMPING BEYOND_LINES FARTHEST",
     "problem/prior.py": "_TAIL _NARROWEST",

@@ -12,6 +12,7 @@ from itertools import pairwise
 from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, statistics_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
+from calib.hypotheses.modal_start import modal_leap
 from calib.inference.even_weights import EvenWeights
 from calib.inference.gauss_newton import DEFAULT, FitSettings
 from calib.inference.integers import MixedResult, fit_mixed
@@ -66,7 +67,7 @@ def ended(
     """Best least-squares fit from some starts; None without one, or where none can be evaluated or is feasible."""
     with suppress(EvaluationError, InfeasibleError):
         step = partial(told, LEAST_SQUARES, total=1)
-        first = EvenWeights.of(problem)
+        first = EvenWeights.of(problem, modal_leap(problem))
         return fit_mixed(problem, problem.space, starts, refits=refits, step=step, first=first) if starts else None
     return None
 
@@ -95,9 +96,10 @@ def fitted(
     `calib.analyses.fit_statistics.statistics_of`.
     """
     space = problem.space
+    first = None if before else EvenWeights.of(problem, modal_leap(problem))
     found: MixedResult = fit_mixed(
         problem, space, starts, settings=settings, refits=refits, progress=progress,
-        step=partial(told, stage, total=1), enough=enough, first=None if before else EvenWeights.of(problem),
+        step=partial(told, stage, total=1), enough=enough, first=first,
     )  # fmt: skip
     told("identifiability")
     if shared is not None and shared.nominal is not None:

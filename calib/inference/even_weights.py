@@ -10,15 +10,17 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
 from calib.inference.gauss_newton import LeastSquares
 from calib.problem.labels import Label
 
+Leap: TypeAlias = Callable[[Mapping[str, float]], dict[str, float]]
+"""Leads from named values to others that are likely nearer; EvaluationError where the model fails on the way."""
 MANY = 100
 """Rows of one shape from which a first fit weighs them evenly: fewer do not outweigh its frequency by much."""
 LIMIT = 3.0
@@ -48,22 +50,25 @@ class EvenWeights:
     most : float
         Limit of the other rows, beyond which an error costs no more: one mode that finds no partner on the way must
         not outweigh what all others gain.
+    leap : callable, optional
+        What is tried first.
     """
 
     problem: LeastSquares
     weights: np.ndarray
     shapes: np.ndarray
     most: float = math.inf
+    leap: Leap | None = None
 
     @classmethod
-    def of(cls, problem: LabelledLeastSquares) -> EvenWeights | None:
+    def of(cls, problem: LabelledLeastSquares, leap: Leap | None = None) -> EvenWeights | None:
         """The weights that make the rows of each shape count as one; None where no shape has `MANY`."""
         shapes = [(getattr(row, "test", ""), row.mode) if row.kind == "shape" else None for row in problem.rows]
         number = Counter(filter(None, shapes))
         if max(number.values(), default=0) < MANY:
             return None
         weights = np.array([1 / math.sqrt(number[shape]) if shape else 1.0 for shape in shapes])
-        return cls(problem, weights, np.array([shape is not None for shape in shapes]))
+        return cls(problem, weights, np.array([shape is not None for shape in shapes]), leap=leap)
 
     def limited(self, residual: np.ndarray) -> EvenWeights:
         """The same, limited by the usual size of the rows of a residual (n_rows,) of the problem."""

@@ -244,7 +244,14 @@ class _Walk:
     def _nearer(
         self, first: EvenWeights, start: dict[str, float], residual: np.ndarray
     ) -> Generator[Request, None, dict[str, float]]:
-        """The end of fits in the weights of ``first``, each limited by the rows where the one before ended."""
+        """Where ``first`` leaps, or the end of fits in its weights, each limited by the rows at the end of the last."""
+        with suppress(EvaluationError):
+            region = Region.of(self.space, start if first.leap is None else first.leap(start))
+            values = region.values(region.nearest(region.start))
+            yield values, ()
+            rows = self.problem.residual(values)
+            if rows @ rows < residual @ residual:
+                return values
         values, rows = start, residual
         for _ in range(_ROUNDS):
             end = yield from fit_steps(first.limited(rows), self.space, values, self.prior, _FIRST)
