@@ -88,10 +88,16 @@ def _bend(freq: np.ndarray, weight: np.ndarray, centre: float) -> np.ndarray:
 
 def resonances_of_many(frfs: MeasuredFRFs) -> tuple[Resonance, ...]:
     """Resonances in the power of all functions, of so many lines that some of noise look like them."""
+    power, noise = _sums(frfs)
+    return resonances(frfs.freq, power, RULES.prominence, noise, SMOOTHED)
+
+
+def _sums(frfs: MeasuredFRFs) -> np.ndarray:
+    """Power of all functions and of their noise, (2, n_lines)."""
     both = np.zeros((2, len(frfs.freq)))
     for one in frfs.functions:
         both += [np.interp(frfs.freq, frfs.freq[one.lines], own) for own in _power_and_noise(frfs, one)]
-    return resonances(frfs.freq, both[0], RULES.prominence, both[1], SMOOTHED)
+    return both
 
 
 def _power_and_noise(frfs: MeasuredFRFs, one: MeasuredFunction) -> tuple[np.ndarray, np.ndarray]:
@@ -102,14 +108,21 @@ def _power_and_noise(frfs: MeasuredFRFs, one: MeasuredFunction) -> tuple[np.ndar
 
 def _poles(frfs: MeasuredFRFs) -> np.ndarray:
     """Resonances of single functions and of all, and the ends of the lines, as ``i f - w/2``, Hz."""
-    found = list(resonances_of_many(frfs))
+    found = _peaks(frfs.freq, *_sums(frfs))
     for one in frfs.functions:
-        power, noise = _power_and_noise(frfs, one)
-        found += resonances(frfs.freq[one.lines], power, RULES.prominence, noise, SMOOTHED)
+        found += _peaks(frfs.freq[one.lines], *_power_and_noise(frfs, one))
     widths = [one.width for one in found]
     end = float(np.median(widths)) if widths else float(frfs.freq[-1] - frfs.freq[0]) / len(frfs.freq)
     ends = [complex(-end / 2, f) for f in (frfs.freq[0], frfs.freq[-1])]
     return np.array([complex(-one.width / 2, one.freq) for one in found] + ends)
+
+
+def _peaks(freq: np.ndarray, power: np.ndarray, noise: np.ndarray) -> list[Resonance]:
+    """Resonances, also those of which an end of the lines cuts a flank off: beyond the ends the power counts as 0."""
+    steps = np.arange(1, SMOOTHED + 1)
+    low, high = freq[0] - steps[::-1] * (freq[1] - freq[0]), freq[-1] + steps * (freq[-1] - freq[-2])
+    around, noise = np.concatenate([low, freq, high]), np.pad(noise, SMOOTHED, mode="edge")
+    return list(resonances(around, np.pad(power, SMOOTHED), RULES.prominence, noise, SMOOTHED))
 
 
 def _noise(values: np.ndarray, std: np.ndarray) -> np.ndarray:

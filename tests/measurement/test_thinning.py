@@ -99,6 +99,15 @@ def test_few_lines_stay_and_gaps_count_fewer():
     assert np.sqrt(np.nanmean(errors**2)) == pytest.approx(1.0, abs=0.1)
 
 
+def test_a_resonance_beside_an_end_of_the_lines_keeps_its_lines():
+    frfs, exact = measured(), functions(measured().freq, TRUE)[0]
+    last = frfs.resonances()[-1]
+    quiet = replace(frfs, values=exact + 0.01 * (frfs.values - exact), std=0.01 * frfs.std)
+    few = thinned(quiet.in_band(1.0, last.freq + 0.4 * last.width), most=1000).in_band(last.freq - last.width, 200.0)
+    errors = np.abs(few.values - functions(few.freq, TRUE)[0]) / few.std / np.sqrt(2)
+    assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.25)
+
+
 def test_repeats_are_thinned_by_the_resonances_of_their_mean():
     frfs, rng = measured(2500), np.random.default_rng(5)
     noise = frfs.std * rng.standard_normal(frfs.values.shape)
