@@ -261,9 +261,10 @@ def _digest_of_file(path: Path) -> str:
         return ""
 
 
-def study_file(path: Path) -> Path:
+def study_file(path: str | Path) -> Path:
     """The TOML file of a study, given its folder or that file."""
-    return path if path.suffix == ".toml" else path / "study.toml"
+    own = Path(path)
+    return own if own.suffix == ".toml" else own / "study.toml"
 
 
 def shell_argument(path: Path) -> str:

@@ -112,6 +112,7 @@ def test_set_ups_are_suspected_from_both_doors(tmp_path):
     folder = shutil.copytree(STUDIES / "hidden_bogie", tmp_path / "bogie")
     file = folder / "study.toml"
     sensors = [sensor.name for sensor in calib.Study.load(folder, progress=False).loaded.measured.sensors]
+    assert [sensor.name for sensor in calib.Study(str(folder)).loaded.measured.sensors] == sensors
     first, second = (str(own).replace("'", '"') for own in (sensors[::2], sensors[1::2]))
     text = file.read_text("utf-8").replace("[measurement]", f"[measurement]\nset_ups = {{ a = {first}, b = {second} }}")
     file.write_text(text, "utf-8")

@@ -99,6 +99,7 @@ def test_few_lines_stay_and_gaps_count_fewer():
     assert np.sqrt(np.nanmean(errors**2)) == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_a_resonance_beside_an_end_of_the_lines_keeps_its_lines():
     frfs, exact = measured(), functions(measured().freq, TRUE)[0]
     last = frfs.resonances()[-1]
@@ -109,15 +110,16 @@ def test_a_resonance_beside_an_end_of_the_lines_keeps_its_lines():
 
 
 def test_repeats_are_thinned_by_the_resonances_of_their_mean():
-    frfs, rng = measured(2500), np.random.default_rng(5)
+    frfs, rng = measured(1200), np.random.default_rng(5)
     noise = frfs.std * rng.standard_normal(frfs.values.shape)
     repeats = [replace(frfs, values=frfs.values + sign * noise) for sign in (-1, 1)]
-    few, *each = (thinned(one, like=frfs) for one in (frfs, *repeats))
+    few, *each = (thinned(one, 1000, frfs) for one in (frfs, *repeats))
     assert len(few.freq) < 700
     np.testing.assert_array_equal(each[0].freq, few.freq)
     np.testing.assert_allclose((each[0].values + each[1].values) / 2, few.values, rtol=1e-10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("std_known", [True, False])
 def test_peaks_of_noise_are_no_resonances(std_known):
     """Noise of a few repeats has a standard deviation of its own on each line, much too small on some."""
