@@ -241,7 +241,7 @@ FORMATS = {  # units, codes of files, and what a file may hold
     "structure/amplitude.py": "_LEFT",
     "structure/dof_table.py": "_EXACT _PACKED",
     "imports/frd.py": "_COMPONENTS _FIRST _WIDTH",
-    "imports/elements.py": "_BRICK _KEYS _LINE _LINE_3 _RING_3 _RING_4 _TETRA _WEDGE",
+    "imports/elements.py": "_BRICK _KEYS _LINE _LINE_3 _LINE_3_LAST _RING_3 _RING_4 _TETRA _WEDGE",
     "imports/fil.py": "_NODE _DIRECTIONS _MODE _DISPLACEMENT _MOTIONS",
     "imports/matrices.py": "_PENALTY",
     "imports/nastran.py": "_COMPLEX _SQUARE _SYMMETRIC",

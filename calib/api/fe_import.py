@@ -53,7 +53,8 @@ class Imported(Displayed):
         In the code's own units.
     modes : DataFrame
         ``mode, freq`` (Hz), and where the code's own modes were given ``code_freq`` (Hz), ``freq_error`` (relative) and
-        ``mac``.
+        ``mac``. With element sets also ``set``, that of the largest share of the strain energy at its nodes, and
+        ``energy_share``.
     notes, warnings : tuple of str
         What was found, and what is to be checked.
     units : str
@@ -88,8 +89,10 @@ class Imported(Displayed):
         """What the command prints."""
         known = "code_freq" in self.modes
         heads = ("mode", "Hz", "Hz of the code", "difference", "MAC") if known else ("mode", "Hz")
+        heads += ("strain energy, most in",) if "set" in self.modes else ()
         rows = [
-            (str(row["mode"]), f"{row['freq']:.6g}") + (_beside(row) if known else ())
+            (str(row["mode"]), f"{row['freq']:.6g}", *(_beside(row) if known else ()))
+            + ((f"{row['set']} ({row['energy_share']:.0%})",) if "set" in row else ())
             for row in self.modes.to_dict("records")
         ]
         title = f"{self.model.n_dof} degrees of freedom. First modes of the imported model:"
@@ -208,7 +211,7 @@ def import_matrices(
     mirrored = (f"One triangle was given and has been mirrored: {', '.join(halves)}.",) if halves else ()
     fixed = tuple(f"{a.item}: {a.reason}." for a in model.assumptions if a.value != "symmetric")
     notes = (*read.notes, *mirrored, *fixed, *notes)
-    table, told = _solved(model)
+    table, told = _solved(model, read)
     notes += told
     if modes is not None:
         own = read_fe_modes(path_of(modes, "modes"))
@@ -274,8 +277,8 @@ def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...]
     return tuple(notes), tuple(warnings)
 
 
-def _solved(model: StructuralModel) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The first modes of the model, and how many rigid-body motions it has."""
+def _solved(model: StructuralModel, read: ReadMatrices) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The first modes of the model with the element set of most strain energy, and how many rigid-body motions."""
     try:
         found = model.modes({}, min(MODES, model.n_dof))
     except EvaluationError as fault:
@@ -286,7 +289,14 @@ def _solved(model: StructuralModel) -> tuple[pd.DataFrame, tuple[str, ...]]:
     freq = np.asarray(found.natural_freq)
     rigid = sum(one.kind == "zero" for one in found.excluded)
     notes = (f"{count(rigid, 'rigid-body motion')}: the model is free.",) if rigid else ()
-    return pd.DataFrame({"mode": np.arange(1, len(freq) + 1), "freq": freq}), notes
+    table = pd.DataFrame({"mode": np.arange(1, len(freq) + 1), "freq": freq})
+    every = len(read.dofs["node"].dropna().unique())
+    sets = [name for name, nodes in read.sets.items() if len(nodes) < every]
+    if sets:
+        shares = model.energy_shares({}, found.shapes, sets)
+        table["set"] = [sets[k] for k in shares.argmax(axis=0)]
+        table["energy_share"] = shares.max(axis=0)
+    return table, notes
 
 
 def _against(

@@ -35,7 +35,7 @@ def model_of(
     """The model of matrices that were read, with its parameters."""
     return StructuralModel.from_matrices(
         terms["stiffness"], terms["mass"], terms["damping"], dofs=read.dofs, parameters=parameters, units=units,
-        layers=read.layers, lines=read.lines, name=name,
+        layers=read.layers, lines=read.lines, sets=read.sets, name=name,
     )  # fmt: skip
 
 
@@ -49,7 +49,7 @@ def write_study(
     ----------
     model : StructuralModel
     read : ReadMatrices
-        Rows and lines.
+        Rows, lines and sets.
     units : str
         Unit system of the matrices.
     terms : mapping from kind to mapping from name to (matrix, scaling)
@@ -83,9 +83,15 @@ def write_study(
         **more, "study.toml": study.encode(), "model.py": code.encode(), "matrices.npz": packed.getvalue(),
         "dofs.csv": read.dofs.to_csv(index=False).encode(),
         "lines.csv": pd.DataFrame(read.lines, columns=["node", "to_node"]).to_csv(index=False).encode(),
+        "sets.csv": _sets_table(read).to_csv(index=False).encode(),
     }  # fmt: skip
     write_new_folder(folder, contents)
     return folder
+
+
+def _sets_table(read: ReadMatrices) -> pd.DataFrame:
+    """Set and node, one row each."""
+    return pd.DataFrame([(name, node) for name, own in read.sets.items() for node in own], columns=["set", "node"])
 
 
 def _parameter_text(p: Parameter) -> str:

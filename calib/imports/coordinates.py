@@ -1,4 +1,4 @@
-"""Coordinates of nodes from a table or from the deck of a code: *NODE of Abaqus and CalculiX, GRID of Nastran."""
+"""Coordinates of nodes from a table or a deck: *NODE of Abaqus and CalculiX, GRID of Nastran, NBLOCK of ANSYS."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.places import Point
 
-DECKS = (".inp", ".bdf", ".dat", ".nas", ".blk", ".pch")
+DECKS = (".inp", ".bdf", ".dat", ".nas", ".blk", ".pch", ".cdb")
 """Suffixes of decks."""
 
 
@@ -20,7 +20,8 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
     Parameters
     ----------
     file : Path
-        Table ``node, x, y, z`` in m (.csv); or a deck with ``*NODE`` (.inp) or ``GRID`` (.bdf, .dat, .nas, .pch).
+        Table ``node, x, y, z`` in m (.csv); or a deck with ``*NODE`` (.inp), ``GRID`` (.bdf, .dat, .nas, .pch) or
+        ``NBLOCK`` (.cdb).
     metres : float
         Per unit of length of a deck, which does not state it.
 
@@ -39,15 +40,16 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
         raise InputError(f"unknown kind of file {suffix!r}", place=file, remedy=f"give .csv, {', '.join(DECKS)}")
     lines = file.read_text("latin-1").splitlines()
     is_abaqus = any(line.upper().lstrip().startswith("*NODE") for line in lines)
+    is_ansys = any(line.upper().startswith("NBLOCK") for line in lines)
     out: dict[int, Point] = {}
     try:
-        for node, place in (_abaqus if is_abaqus else _nastran)(file, lines):
+        for node, place in (_abaqus if is_abaqus else _ansys if is_ansys else _nastran)(file, lines):
             x, y, z = (metres * own for own in place)
             out[node] = (x, y, z)
     except ValueError as fault:
         raise InputError(f"a node cannot be read ({fault})", place=file, remedy="give a table node, x, y, z") from None
     if not out:
-        raise InputError("it defines no nodes (*NODE or GRID)", place=file, remedy="give the file that does")
+        raise InputError("it defines no nodes (*NODE, GRID or NBLOCK)", place=file, remedy="give the file that does")
     return out
 
 
@@ -69,6 +71,29 @@ def _abaqus(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
             parts = [part.strip() for part in line.split(",")]
             x, y, z = ([float(part) if part else 0.0 for part in parts[1:4]] + [0.0] * 3)[:3]
             yield int(parts[0]), (x, y, z)
+
+
+def _ansys(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
+    """Nodes of NBLOCK in the columns that its format states; coordinates of 0 at the end of a line may be missing.
+
+    Three more numbers are angles of the axes in which a node moves, and do not change its place.
+    """
+    widths: tuple[int, int, int] | None = None
+    for line in lines:
+        if line.upper().startswith("NBLOCK"):
+            widths = (0, 0, 0)
+        elif widths == (0, 0, 0):
+            found = re.search(r"(\d*)I(\d+),\s*\d*E(\d+)", line.upper())
+            if found is None:
+                raise ValueError(f"the format of NBLOCK is {line.strip()[:30]!r}")
+            widths = int(found[1] or 1), int(found[2]), int(found[3])
+        elif widths is not None and re.match(r"\s*\d", line):
+            first = widths[0] * widths[1]
+            cells = [line[first + k * widths[2] : first + (k + 1) * widths[2]].strip() for k in range(3)]
+            x, y, z = (float(one) if one else 0.0 for one in cells)
+            yield int(line[: widths[1]]), (x, y, z)
+        else:
+            widths = None
 
 
 def _nastran(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:

@@ -1,9 +1,10 @@
-"""Of a deck: supports, and edges of elements, which figures draw; of Abaqus, CalculiX and Nastran."""
+"""Of a deck: elements, their edges and their sets, and supports; of Abaqus, CalculiX, Nastran and ANSYS."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import NamedTuple
 
 from calib.imports.coordinates import bulk_entries
 
@@ -20,31 +21,83 @@ _SOLIDS: Mapping[int, Sequence[Edge]] = {4: _TETRA, 10: _TETRA, 6: _WEDGE, 15: _
 """Edges between the corners of solids by the number of their nodes."""
 _AREAS: Mapping[int, Sequence[Edge]] = {3: _RING_3, 6: _RING_3, 4: _RING_4, 8: _RING_4, 9: _RING_4}
 _LINES: Mapping[int, Sequence[Edge]] = {2: _LINE, 3: _LINE_3}
-_KEYS: Mapping[str, tuple[int, int, Mapping[int, Sequence[Edge]]]] = {
-    **dict.fromkeys(("CBAR", "CBEAM", "CROD", "CTUBE"), (2, 2, _LINES)),
-    "CTRIA3": (2, 3, _AREAS), "CTRIA6": (2, 3, _AREAS), "CQUAD4": (2, 4, _AREAS), "CQUAD8": (2, 4, _AREAS),
-    "CTETRA": (2, 4, _SOLIDS), "CPENTA": (2, 6, _SOLIDS), "CHEXA": (2, 8, _SOLIDS),
+_KEYS: Mapping[str, tuple[int, int, int, Mapping[int, Sequence[Edge]]]] = {
+    **dict.fromkeys(("CBAR", "CBEAM", "CROD", "CTUBE"), (2, 2, 2, _LINES)),
+    "CTRIA3": (2, 3, 3, _AREAS), "CTRIA6": (2, 3, 6, _AREAS), "CQUAD4": (2, 4, 4, _AREAS), "CQUAD8": (2, 4, 8, _AREAS),
+    "CTETRA": (2, 4, 10, _SOLIDS), "CPENTA": (2, 6, 15, _SOLIDS), "CHEXA": (2, 8, 20, _SOLIDS),
 }  # fmt: skip
-"""Of entries of Nastran: the first field with a node, the number of corners, and the edges."""
+"""Of entries of Nastran: the first field with a node, the number of corners and of nodes at most, and the edges."""
+_LINE_3_LAST = ((0, 2), (2, 1))
+_ORIENTED: Mapping[int, Sequence[Edge]] = {2: _LINE, 3: _LINE}
+_BLOCKS = "EBLOCK"
+"""Elements in the database that ANSYS's CDWRITE writes."""
+_TYPES: Mapping[str, Mapping[int, Sequence[Edge]]] = {
+    **dict.fromkeys(("4", "8", "180", "188"), _ORIENTED), "189": {3: _LINE_3_LAST, 4: _LINE_3_LAST},
+    **dict.fromkeys(("63", "93", "181", "281"), _AREAS),
+    **dict.fromkeys(("45", "92", "95", "185", "186", "187", "190", "285"), _SOLIDS),
+}  # fmt: skip
+"""Edges by the number of nodes of types of ANSYS; the third node of a beam orients it."""
+
+
+class Element(NamedTuple):
+    """An element with edges: its number, the set that its own entry names, its nodes, and pairs of these."""
+
+    number: int
+    group: str
+    nodes: tuple[int, ...]
+    edges: Sequence[Edge]
+
+
+def elements(text: str) -> Iterator[Element]:
+    """Elements of a deck of Abaqus, CalculiX, Nastran or ANSYS (CDWRITE), in its order.
+
+    Springs, masses and elements of other codes have no edges and are passed over. Nastran's elements are in the group
+    of their property, ``property 7``.
+    """
+    lines = text.splitlines()
+    if re.search(r"^\s*\*ELEMENT\b", text, re.MULTILINE | re.IGNORECASE):
+        yield from _abaqus(lines)
+    elif _BLOCKS in text:
+        yield from _ansys(lines)
+    else:
+        yield from _nastran(text)
 
 
 def element_edges(text: str) -> list[Edge]:
     """Edges between nodes of all elements that have any, each once, in the order of the deck.
 
-    Parameters
-    ----------
-    text : str
-        Of a deck. Springs, masses and elements of other codes have no edges; midside nodes of beams are their nodes,
-        those of shells and solids are passed over.
+    Midside nodes of beams are their nodes, those of shells and solids are passed over.
     """
-    is_abaqus = re.search(r"^\s*\*ELEMENT\b", text, re.MULTILINE | re.IGNORECASE) is not None
-    found = _abaqus(text.splitlines()) if is_abaqus else _nastran(text)
-    return list(dict.fromkeys((min(pair), max(pair)) for pair in found if pair[0] != pair[1]))
+    pairs = ((one.nodes[i], one.nodes[j]) for one in elements(text) for i, j in one.edges)
+    return list(dict.fromkeys((min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]))
 
 
-def _abaqus(lines: Iterable[str]) -> Iterator[Edge]:
+def element_sets(text: str) -> dict[str, set[int]]:
+    """Nodes of the elements of each set: of ELSET, of a property of Nastran, of a component of ANSYS.
+
+    Sets of the same elements under another name, such as that of all elements, stay apart.
+    """
+    found: dict[str, set[int]] = {}
+    of_element: dict[int, tuple[int, ...]] = {}
+    members: dict[str, set[int]] = {}
+    for one in elements(text):
+        of_element[one.number] = one.nodes
+        if one.group:
+            found.setdefault(one.group, set()).update(one.nodes)
+            members.setdefault(one.group, set()).add(one.number)
+    lines = text.splitlines()
+    listed = _components(lines) if _BLOCKS in text else _named_sets(lines, "*ELSET", members)
+    for name, numbers in listed.items():
+        nodes = {node for number in numbers for node in of_element.get(number, ())}
+        if nodes:
+            found.setdefault(name, set()).update(nodes)
+    return found
+
+
+def _abaqus(lines: Iterable[str]) -> Iterator[Element]:
     edges: Mapping[int, Sequence[Edge]] = {}
     pending: list[int] = []
+    group = ""
     for line in lines:
         bare = line.strip()
         if not bare or bare.startswith("**"):
@@ -52,7 +105,8 @@ def _abaqus(lines: Iterable[str]) -> Iterator[Edge]:
         if bare.startswith("*"):
             key = bare.upper().replace(" ", "")
             edges = _of_type(key) if key.startswith("*ELEMENT,") else {}
-            pending = []
+            match = re.search(r"ELSET=([^,]+)", key)
+            group, pending = "" if match is None else match[1].strip('"'), []
             continue
         if not edges:
             continue
@@ -60,8 +114,9 @@ def _abaqus(lines: Iterable[str]) -> Iterator[Edge]:
         pending += [int(one) for one in numbers]
         if bare.endswith(","):
             continue
-        nodes, pending = pending[1:], []
-        yield from ((nodes[i], nodes[j]) for i, j in edges.get(len(nodes), ()))
+        (number, *nodes), pending = pending, []
+        if len(nodes) in edges:
+            yield Element(number, group, tuple(nodes), edges[len(nodes)])
 
 
 def _of_type(key: str) -> Mapping[int, Sequence[Edge]]:
@@ -75,41 +130,110 @@ def _of_type(key: str) -> Mapping[int, Sequence[Edge]]:
     return _LINES if re.match(r"(B|PIPE|T)\d|T3D", kind) else {}
 
 
-def _nastran(text: str) -> Iterator[Edge]:
+def _nastran(text: str) -> Iterator[Element]:
     for name, fields in bulk_entries(text):
         if name not in _KEYS:
             continue
-        first, corners, edges = _KEYS[name]
-        numbers = fields[first : first + corners]
-        if len(numbers) == corners and all(re.fullmatch(r"\d+", one) for one in numbers):
-            yield from ((int(numbers[i]), int(numbers[j])) for i, j in edges[corners])
+        first, corners, most, edges = _KEYS[name]
+        nodes = tuple(int(one) for one in fields[first : first + most] if re.fullmatch(r"\d+", one))
+        if len(nodes) >= corners and fields[0].isdigit():
+            yield Element(int(fields[0]), f"property {fields[1] or fields[0]}", nodes, edges[corners])
 
 
-def held_motions(text: str) -> set[tuple[int, int]]:
-    """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds."""
-    sets: dict[str, set[int]] = {}
-    held: set[tuple[int, int]] = set()
-    key = name = ""
-    for line in text.splitlines():
+def _ansys(lines: Sequence[str]) -> Iterator[Element]:
+    """Elements of EBLOCK: eleven numbers, of which the 2nd, 9th and 11th are type, count and number, then nodes."""
+    types: dict[int, str] = {}
+    at = 0
+    while at < len(lines):
+        line = lines[at].upper()
+        at += 1
+        if line.startswith("ET,"):
+            _, number, name = (one.strip() for one in [*line.split(","), ""][:3])
+            types[int(number)] = re.sub(r"\D", "", name)
+        if not line.startswith(_BLOCKS):
+            continue
+        width = int(columns[1]) if (columns := re.search(r"I(\d+)", lines[at].upper())) else 10
+        at += 1
+        while at < len(lines) and lines[at].strip() not in ("", "-1"):
+            cells = _cells(lines[at], width)
+            at += 1
+            if len(cells) > 11 and len(cells) < 11 + cells[8] and at < len(lines):
+                cells += _cells(lines[at], width)
+                at += 1
+            nodes = tuple(cells[11 : 11 + cells[8]])
+            edges = _TYPES.get(types.get(cells[1], ""), {}).get(len(nodes))
+            if edges is not None:
+                yield Element(cells[10], "", nodes, edges)
+
+
+def _cells(line: str, width: int) -> list[int]:
+    return [int(line[k : k + width]) for k in range(0, len(line.rstrip()), width)]
+
+
+def _components(lines: Sequence[str]) -> dict[str, set[int]]:
+    """Elements of each component (CMBLOCK), whose lists write a range by its negative end."""
+    found: dict[str, set[int]] = {}
+    numbers: list[int] | None = None
+    for line in lines:
+        if line.upper().startswith("CMBLOCK"):
+            _, name, kind, *_ = (one.strip() for one in line.upper().split(","))
+            numbers = [] if kind.startswith("ELEM") else None
+            if numbers is not None:
+                found[name] = set()
+        elif numbers is not None and re.fullmatch(r"[\s\d-]+", line):
+            for one in map(int, line.split()):
+                found[name] |= set(range(numbers[-1], -one + 1)) if one < 0 else {one}
+                numbers.append(abs(one))
+        elif not line.startswith("("):
+            numbers = None
+    return found
+
+
+def _named_sets(lines: Iterable[str], keyword: str, sets: dict[str, set[int]]) -> dict[str, set[int]]:
+    """Sets of Abaqus that ``*NSET`` or ``*ELSET`` list by number, range or name; ``sets`` are those known before."""
+    name, is_range = "", False
+    for line in lines:
         bare = line.strip()
         if not bare or bare.startswith("**"):
             continue
         if bare.startswith("*"):
             key = bare.upper().replace(" ", "")
+            match = re.search(f"{keyword[1:]}=([^,]+)", key) if key.startswith(f"{keyword},") else None
+            name, is_range = ("" if match is None else match[1].strip('"')), "GENERATE" in key
+        elif name:
+            fields = [field.strip().upper() for field in bare.split(",") if field.strip()]
+            own = sets.setdefault(name, set())
+            if is_range:
+                first, last, step = (*map(int, fields[:3]), 1)[:3]
+                own |= set(range(first, last + 1, step))
+            for field in () if is_range else fields:
+                own |= {int(field)} if field.isdigit() else sets.get(field, set())
+    return sets
+
+
+def held_motions(text: str) -> set[tuple[int, int]]:
+    """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds."""
+    sets: dict[str, set[int]] = {}
+    lines = text.splitlines()
+    key = name = ""
+    for line in lines:
+        bare = line.strip()
+        if bare.startswith("*") and not bare.startswith("**"):
+            key = bare.upper().replace(" ", "")
             match = re.search(r"NSET=([^,]+)", key)
-            name = match[1] if match is not None else ""
-            continue
-        fields = [field.strip().upper() for field in bare.split(",")]
-        if key.startswith("*NODE,") and name:
-            sets.setdefault(name, set()).add(int(fields[0]))
-        elif key.startswith("*NSET") and "GENERATE" in key:
-            first, last, step = (*map(int, filter(None, fields[:3])), 1)[:3]
-            sets.setdefault(name, set()).update(range(first, last + 1, step))
-        elif key.startswith("*NSET"):
-            for field in filter(None, fields):
-                sets.setdefault(name, set()).update({int(field)} if field.isdigit() else sets.get(field, ()))
-        elif key.startswith("*BOUNDARY") and len(fields) > 1 and fields[1].isdigit():
-            nodes = {int(fields[0])} if fields[0].isdigit() else sets.get(fields[0], set())
-            last = int(fields[2]) if len(fields) > 2 and fields[2].isdigit() else int(fields[1])
-            held |= {(node, d) for node in nodes for d in range(int(fields[1]), last + 1)}
+            name = match[1] if match is not None and key.startswith("*NODE,") else ""
+        elif name and bare and not bare.startswith("**"):
+            sets.setdefault(name, set()).add(int(bare.split(",")[0]))
+    sets = _named_sets(lines, "*NSET", sets)
+    held: set[tuple[int, int]] = set()
+    for line in lines:
+        bare = line.strip()
+        if bare.startswith("*") and not bare.startswith("**"):
+            key = bare.upper().replace(" ", "")
+        elif key.startswith("*BOUNDARY") and bare and not bare.startswith("**"):
+            fields = [field.strip().upper() for field in bare.split(",")]
+            if len(fields) > 1 and fields[1].isdigit():
+                nodes = {int(fields[0])} if fields[0].isdigit() else sets.get(fields[0], set())
+                last = int(fields[2]) if len(fields) > 2 and fields[2].isdigit() else int(fields[1])
+                held |= {(node, d) for node in nodes for d in range(int(fields[1]), last + 1)}
     return held

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -16,7 +16,7 @@ from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
 from calib.imports.dof_file import read_dofs, table_of
-from calib.imports.elements import element_edges, held_motions
+from calib.imports.elements import element_edges, element_sets, held_motions
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
@@ -54,6 +54,8 @@ class ReadMatrices:
         Whether rows of one name are the layers of a shell.
     lines : tuple of (node, node)
         Edges of elements of the deck between nodes that have rows.
+    sets : mapping from str to tuple of nodes
+        Element sets of the deck, by those of their nodes that have rows.
     notes : tuple of str
         What was left out, found or assumed.
     """
@@ -62,6 +64,7 @@ class ReadMatrices:
     dofs: pd.DataFrame
     layers: Literal["mean"] | None = None
     lines: tuple[tuple[int, int], ...] = ()
+    sets: Mapping[str, tuple[int, ...]] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
 
 
@@ -138,8 +141,11 @@ def read_matrices(
             notes += told
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
-    edges = _drawn(table, coordinates)
-    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, edges, notes + told)
+    edges, sets = _drawn(table, coordinates)
+    if sets:
+        listed = ", ".join(f"{name} ({len(nodes)} nodes)" for name, nodes in sets.items())
+        told = (*told, f"Element sets, for figures and for the strain energy of modes: {listed}.")
+    return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, edges, sets, notes + told)
 
 
 def _bytes(file: Path) -> bytes:
@@ -325,12 +331,14 @@ def _without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[
     return out, (words + "no sensor lies there.",)
 
 
-def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[int, int], ...]:
-    """Edges of the elements of a deck between nodes that have rows; none without coordinates."""
-    if file is None or file.suffix.lower() == ".csv" or "x" not in table:
-        return ()
-    nodes = set(table["node"].dropna().astype(int))
-    return tuple(edge for edge in element_edges(file.read_text("latin-1")) if nodes.issuperset(edge))
+def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[tuple[int, int], ...], dict[str, tuple[int, ...]]]:
+    """Edges and sets of the elements of a deck between nodes that have rows; no edges without coordinates."""
+    if file is None or file.suffix.lower() == ".csv":
+        return (), {}
+    text, nodes = file.read_text("latin-1"), set(table["node"].dropna().astype(int))
+    sets = {name: tuple(sorted(own & nodes)) for name, own in element_sets(text).items()}
+    edges = tuple(edge for edge in element_edges(text) if nodes.issuperset(edge)) if "x" in table else ()
+    return edges, {name: own for name, own in sets.items() if own}
 
 
 def _without_penalties(

@@ -19,7 +19,7 @@ from calib.report.frequencies import draw_frequencies, stages_of_added
 from calib.report.frf import draw_frac, draw_frf_lines, overlay_figure
 from calib.report.mesh import read_mesh
 from calib.report.metamodel import draw_prognosis
-from calib.report.model import face_groups, model_figure
+from calib.report.model import coloured_groups, model_figure
 from calib.report.modes import model_modes_figure, pages
 from calib.report.orthogonality import orthogonality_figure
 from calib.report.parameters import draw_parameters
@@ -138,7 +138,7 @@ def _shapes_on_mesh(folder: Folder, compared: Mapping[str, pd.DataFrame | None],
     sensors, forces = _ends_of_functions(folder)
     if placed is not None:
         sensors = placed[placed["mode"] == placed["mode"].iloc[0]]
-    if sensors is not None or face_groups(mesh):  # a mesh of lines alone is drawn with its modes
+    if sensors is not None or coloured_groups(mesh):  # a mesh of lines in one colour is drawn with its modes
         draw = bound(model_figure, mesh, sensors, forces)
         yield Drawing("model", "the model", draw, ("mesh_points", "mesh_elements"))
     path = folder / "model_places.csv"

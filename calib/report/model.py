@@ -18,6 +18,8 @@ from calib.report import scene
 from calib.report.mesh import FACE, LINE, MeshTables, draw_pieces, pieces, point_coordinates, seen_places
 from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, WIDTH, YELLOW
 
+OTHER_LINES = "lines"
+"""Group of lines that belong to no set."""
 COLOURS = (SKY, ORANGE, GREEN, PURPLE, YELLOW, GREY)
 _ABREAST = 4
 """Legend entries per row."""
@@ -37,7 +39,7 @@ _WIDTHS = np.array([0.25, 0.9, 1.3])
 def draw_model(
     mesh: MeshTables, sensors: pd.DataFrame | None = None, ax: Axes3D | None = None, forces: pd.DataFrame | None = None
 ) -> Axes3D:
-    """Draw the mesh, faces coloured by group, and the sensors on it.
+    """Draw the mesh, faces coloured by group (lines where there are no faces), and the sensors on it.
 
     Parameters
     ----------
@@ -56,7 +58,7 @@ def draw_model(
     """
     ax = scene.new_axes(ax)
     parts, rest = pieces(mesh), point_coordinates(mesh)
-    names = face_groups(mesh)
+    names = coloured_groups(mesh)
     vertices = rest[parts.corners]
     own = np.array([to_rgba(COLOURS[names.index(g) % len(COLOURS)]) if g in names else (0.0,) * 4 for g in parts.group])
     own = own.reshape(-1, 4) * np.column_stack(
@@ -65,7 +67,8 @@ def draw_model(
     kind = parts.kind[:, None]
     faces = np.where(kind == FACE, own, 0.0)
     edges = np.where(kind == FACE, 0.85 * own + 0.15 * np.array([0.0, 0.0, 0.0, 1.0]), to_rgba(_BORDER))
-    edges = np.where(kind == LINE, to_rgba(BLACK), edges)
+    named = (kind == LINE) & np.isin(parts.group, names)[:, None]
+    edges = np.where(named, own, np.where(kind == LINE, to_rgba(BLACK), edges))
     draw_pieces(ax, vertices, parts.kind, faces, edges, _WIDTHS[parts.kind], "model")
     seen = rest[np.unique(parts.corners)]
     if sensors is not None:
@@ -104,10 +107,17 @@ def face_groups(mesh: MeshTables) -> list[str]:
     return list(dict.fromkeys(elements.loc[elements["c"].notna(), "group"].astype(str)))
 
 
+def coloured_groups(mesh: MeshTables) -> list[str]:
+    """Groups that colours tell apart: those of faces, else of lines where there are few, such as the sets of a deck."""
+    names = list(dict.fromkeys(mesh.elements["group"].astype(str)))
+    of_lines = [name for name in names if name != OTHER_LINES] if 1 < len(names) <= len(COLOURS) else []
+    return face_groups(mesh) or of_lines
+
+
 def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None, forces: pd.DataFrame | None = None) -> Figure:
     """Draw the model with a legend; for the arguments see `draw_model`."""
     rest = seen_places(mesh)
-    names = face_groups(mesh)
+    names = coloured_groups(mesh)
     handles: list[Artist] = [
         Patch(facecolor=COLOURS[k % len(COLOURS)], edgecolor=_BORDER, linewidth=0.5, label=name)
         for k, name in enumerate(names)

@@ -137,6 +137,7 @@ class StructuralModel(Analytic):
         dofs: Dofs,
         parameters: ParameterSpace | Iterable[Parameter] = (),
         lines: Iterable[tuple[int, int]] = (),
+        sets: Mapping[str, Iterable[int]] | None = None,
         name: str = "matrices",
         units: str = "m-kg-N",
         layers: Layers | None = None,
@@ -163,6 +164,9 @@ class StructuralModel(Analytic):
         parameters : iterable of Parameter, or ParameterSpace
         lines : iterable of (node, node)
             Drawn between nodes.
+        sets : mapping from str to iterable of nodes, optional
+            Such as those of element sets. Each is a cluster of degrees of freedom, whose share of a mode's strain
+            energy is told, and the colour of the lines between its nodes that no set before it has.
         name : str
         units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}
             Unit system of matrices and coordinates, with s and rad; parameters keep their own units.
@@ -205,16 +209,26 @@ class StructuralModel(Analytic):
         matrices, table, dropped = without_null(matrices, space.si(space.values), table, name)
         place = {label: k for k, label in enumerate(table.labels)}
         segments = two_columns(lines, f"model {name}, lines", "(node, node)")
-        ends = [[_index(node, place, name) for node in line] for line in segments]
+        ends = [[_index(node, place, "a line ends at", f"model {name}, lines") for node in line] for line in segments]
         expansion = table.expansion
+        clusters = {d: np.flatnonzero(table.direction == k) for k, d in enumerate(DIRECTIONS) if k in table.direction}
+        groups = ["lines"] * len(ends)
+        for own, nodes in (sets or {}).items():
+            inside = np.array(
+                sorted({_index(node, place, f"{own!r} has", f"model {name}, sets") for node in nodes}), dtype=int
+            )
+            if own in clusters:
+                raise InputError(f"a set is called {own!r}, as a direction is", place=f"model {name}, sets",
+                                 remedy="rename it")  # fmt: skip
+            clusters[own] = np.flatnonzero(np.isin(table.node, inside))
+            both = np.isin(np.array(ends, dtype=int).reshape(-1, 2), inside).all(axis=1)
+            groups = [own if new and old == "lines" else old for new, old in zip(both, groups, strict=True)]
         return StructuralModel(
             name=name,
             space=space,
-            mesh=Mesh(table.points, np.array(ends, dtype=int).reshape(-1, 2), ("lines",) * len(ends)),
+            mesh=Mesh(table.points, np.array(ends, dtype=int).reshape(-1, 2), tuple(groups)),
             dofs=DofMap(expansion, table.node, table.direction),
-            clusters={
-                d: np.flatnonzero(table.direction == k) for k, d in enumerate(DIRECTIONS) if k in table.direction
-            },
+            clusters=clusters,
             locator=NodeLocator(table.points, expansion),
             assumptions=tuple(
                 Assumption(f"{kind} {key!r}", "symmetric", "-", "one triangle was given and has been mirrored")
@@ -353,9 +367,7 @@ class StructuralModel(Analytic):
         return full.reshape(len(self.mesh.points), 6, -1)[:, :3, :]
 
 
-def _index(node: int, place: Mapping[int, int], name: str) -> int:
+def _index(node: int, place: Mapping[int, int], words: str, where: str) -> int:
     if node not in place:
-        raise InputError(
-            f"a line ends at node {node}, which no row names", place=f"model {name}, lines", remedy="correct the label"
-        )
+        raise InputError(f"{words} node {node}, which no row names", place=where, remedy="correct the label")
     return place[node]

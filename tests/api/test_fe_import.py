@@ -123,3 +123,20 @@ def test_parts_get_a_parameter_each(tmp_path):
     again = space["imported"]()
     for values in ({}, {"K1": 0.7, "K_2": 1.3}):
         assert again.modes(values, 2).natural_freq == pytest.approx(found.model.modes(values, 2).natural_freq)
+
+
+def test_element_sets_reach_the_study_with_their_share_of_the_energy(tmp_path):
+    for suffix in ("sti", "mas", "dof"):
+        shutil.copy(EXPORTS / f"solid.{suffix}", tmp_path)
+    deck = (EXPORTS / "solid.inp").read_text()
+    more = "*ELSET, ELSET=ROOT\n1\n*ELSET, ELSET=TIP\n2\n"
+    (tmp_path / "solid.inp").write_text(deck.replace("*MATERIAL", more + "*MATERIAL", 1))
+    found = calib.import_matrices(tmp_path / "solid.sti", units="mm-t-N", to=tmp_path / "beam")
+    assert dict(found.read.sets) == {
+        "BEAM": tuple(range(5, 13)), "ROOT": tuple(range(5, 9)), "TIP": tuple(range(5, 13))
+    }  # fmt: skip
+    assert found.modes["set"].tolist()[:2] == ["ROOT", "ROOT"] and found.modes["energy_share"].max() < 1.0
+    space: dict = {"__file__": str(tmp_path / "beam" / "model.py"), "__name__": "model"}
+    exec(compile((tmp_path / "beam" / "model.py").read_text(), "model.py", "exec"), space)
+    again = space["imported"]()
+    assert again.mesh.groups == found.model.mesh.groups and {"BEAM", "ROOT", "TIP"} <= set(again.clusters)

@@ -4,7 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from calib.imports.elements import element_edges, held_motions
+from calib.imports.coordinates import read_coordinates
+from calib.imports.elements import element_edges, element_sets, elements, held_motions
 from calib.imports.matrices import read_matrices
 
 EXPORTS = Path(__file__).parent / "exports"
@@ -35,6 +36,34 @@ def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
 def test_edges_of_each_kind_of_element(text, count, some):
     edges = element_edges(text)
     assert len(edges) == count and (some is None or some in edges)
+
+
+@pytest.mark.parametrize(
+    ("text", "sets"),
+    [
+        ("*ELEMENT, TYPE=B31, ELSET=Legs\n1, 11, 12\n2,12,13\n*ELEMENT,TYPE=S4\n7,1,2,3,4\n8,3,4,5,6\n"
+         "*ELSET, ELSET=FLOOR, GENERATE\n7, 8\n*Elset,elset=both\nfloor, 2\n*ELSET,ELSET=NONE\n99\n*NSET,NSET=N\n1,\n",
+         {"LEGS": {11, 12, 13}, "FLOOR": {1, 2, 3, 4, 5, 6}, "BOTH": {1, 2, 3, 4, 5, 6, 12, 13}}),
+        ("CQUAD4  1       7       1       2       3       4\nCBAR,2,8,4,5,0.,0.,1.\nCBAR,3,8,5,6,0.,0.,1.\n",
+         {"property 7": {1, 2, 3, 4}, "property 8": {4, 5, 6}}),
+        ("CQUAD8,1,7,1,2,3,4,5,6\n,7,8\n", {"property 7": set(range(1, 9))}),
+        ("*NODE\n1,0,0,0\n", {}),
+    ],
+)  # fmt: skip
+def test_sets_hold_the_nodes_of_their_elements(text, sets):
+    assert element_sets(text) == sets
+
+
+def test_a_database_of_ansys_has_nodes_elements_and_components():
+    file = EXPORTS / "hexbeam.cdb"
+    text, points = file.read_text("latin-1"), read_coordinates(file, 2.0)
+    assert len(points) == 321 and max(points.values(), key=lambda p: p[2])[2] == 10.0
+    assert points[2] == (2.0, 0.0, 0.0)  # zeros at the end of its line are not written
+    assert len(list(elements(text))) == 40 and len(element_edges(text)) == 90 + 132  # 2 x 2 x 10 bricks
+    sets = element_sets(text)
+    assert {name: len(nodes) for name, nodes in sets.items()} == {"ECOMP1": 190, "ECOMP2": 190}
+    assert min(points[node][2] for node in sets["ECOMP1"]) == 4.0  # bricks 17, 18 and 21 to 40, 0.5 high before scaling
+    assert max(points[node][2] for node in sets["ECOMP2"]) == 6.0 and sets["ECOMP1"] | sets["ECOMP2"] == set(points)
 
 
 def test_motions_that_a_deck_holds_are_known_by_node_and_set():

@@ -1,10 +1,12 @@
 import os
 
 import numpy as np
+import pandas as pd
 from matplotlib.colors import to_rgb
 
 from calib.report.mesh import FACE, pieces, point_coordinates
-from calib.report.model import COLOURS, draw_model, face_groups, model_figure
+from calib.report.model import COLOURS, coloured_groups, draw_model, face_groups, model_figure
+from calib.report.style import BLACK
 
 
 def drawn(ax, gid):
@@ -29,6 +31,17 @@ def test_faces_have_the_hue_of_their_group(hull, pixels):
     assert face_groups(hull) == ["hull", "top"] and len(faces) == (pieces(hull).kind == FACE).sum()
     hues = {tuple(np.round(face[:3] / face[:3].max(), 6)) for face in faces}
     assert hues == {tuple(np.round(np.array(to_rgb(c)) / max(to_rgb(c)), 6)) for c in COLOURS[:2]}
+
+
+def test_lines_without_faces_have_the_colour_of_their_group(hull):
+    bare = hull.elements[hull.elements["c"].isna()].reset_index(drop=True)
+    lines = hull._replace(elements=bare.assign(group=["mast", "lines", "mast"]))
+    assert coloured_groups(lines) == ["mast"]
+    edges = draw_model(lines).collections[0].get_edgecolor()
+    assert {tuple(row[:3]) for row in edges} == {to_rgb(COLOURS[0]), to_rgb(BLACK)}
+    assert not coloured_groups(hull._replace(elements=bare.assign(group="mast")))
+    many = pd.concat([bare] * 3, ignore_index=True)
+    assert not coloured_groups(hull._replace(elements=many.assign(group=[str(k) for k in range(len(many))])))
 
 
 def test_sensors_are_drawn_at_their_coordinates_along_their_directions(shapes, mesh):

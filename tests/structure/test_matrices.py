@@ -253,3 +253,23 @@ def test_matrices_in_another_unit_system_give_the_same_model(units, metre):
 def test_an_unknown_unit_system_is_refused():
     with pytest.raises(InputError, match="mm-t-N"):
         chain(units="mm-kg-N")
+
+
+def test_sets_are_clusters_of_energy_and_colours_of_lines():
+    ground, spring = np.diag([1.0, 0, 0]), np.array([[1.0, -1], [-1, 1]])
+    k = ground.copy()
+    k[:2, :2] += spring
+    k[1:, 1:] += 1e-3 * spring
+    places = pd.DataFrame({"node": [1, 2, 3], "direction": "x", "x": [0.0, 1, 2], "y": 0.0, "z": 0.0})
+
+    def model(sets):
+        return StructuralModel.from_matrices(k, np.eye(3), dofs=places, lines=[(1, 2), (2, 3)], sets=sets)
+
+    own = model({"stiff": [1, 2], "soft": [3, 3], "rest": [2, 3]})
+    assert own.mesh.groups == ("stiff", "rest") and own.clusters["soft"].tolist() == [2]
+    shapes = own.modes({}, 3).shapes
+    shares = own.energy_shares({}, shapes, ["stiff", "soft"])
+    assert shares.sum(axis=0) == pytest.approx(1.0) and shares[0, 2] > 0.99
+    for sets in ({"x": [1]}, {"soft": [9]}):
+        with pytest.raises(InputError, match=r"x|node 9"):
+            model(sets)
