@@ -106,6 +106,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "analyses/least_squares.py": "_WIDENED",
     "analyses/extend.py": "STARTS",
     "correlation/modal/order.py": "_STEP",
+    "inference/between.py": "LEAST_TESTS _GRID _LEAST _SETTLED _TURNS",
     "inference/cases.py": "FAILED",
     "inference/even_weights.py": "LIMIT MANY",
     "inference/gauss_newton.py": "_SAME",

@@ -172,6 +172,7 @@ def of_fit(
     sure += contradictions
     held = statistics.considered
     sure += [*held.loc[held["matters"].astype(bool), "words"].head(1), statistics.mesh]
+    sure += [] if statistics.between is None else [statistics.between.sentence]
     if statistics.assumed:
         sure.append(f"This rests on an assumed standard deviation: {statistics.assumed}.")
     if statistics.identification.ratios_only:

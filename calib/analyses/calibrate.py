@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
 from types import MappingProxyType
-from typing import Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pandas as pd
@@ -21,6 +21,7 @@ from calib.analyses.compare import ComparisonResult, compare, nominal_comparison
 from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_response
 from calib.analyses.explain import misfit_intervals
 from calib.analyses.failures import reasons_sentence, stored_reasons
+from calib.analyses.fit_statistics import FitProblem
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import write_record
@@ -31,8 +32,10 @@ from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.inference.agreement import Agreement, agreement
+from calib.inference.between import LEAST_TESTS, between_tests, tests_of
 from calib.inference.cases import Case
 from calib.missing.settings import too_few
+from calib.problem.joint import JointProblem
 from calib.problem.sampling import wide_sentence
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
@@ -109,6 +112,7 @@ def calibrated(
     progress("solving the model")
     before = {one.test: compared(one) for one in study.studies}
     finder = CaseFinder(study, ledger, run.homes, run.workers, run.quick, progress, seconds[0])
+    varies = _varying(study, finder.exact)
     found = tuple(finder.found(chosen, cases))
     progress(CHECKING)
     by_test = {one.test: [case[k] for case in found] for k, one in enumerate(study.studies)}
@@ -116,10 +120,13 @@ def calibrated(
     level = sum(expected_misfit(one, before[one.test]) for one in study.studies)
     agreed = with_starts(agreement(summed(every), space, level), every[0], space)
     best, only = best_of(every), len(study.studies) == 1
-    if doubt := finder.mesh_doubt(every[0][best].statistics):
-        for cases_of_test in every:
-            ended = cases_of_test[best]
-            cases_of_test[best] = replace(ended, statistics=replace(ended.statistics, mesh=doubt))
+    told: dict[str, Any] = {"mesh": finder.mesh_doubt(every[0][best].statistics), "between": None}
+    if varies and isinstance(finder.exact, JointProblem) and not run.quick:
+        progress("how much parameters vary between the tests")
+        told["between"] = between_tests(finder.exact, varies, every[0][best].statistics.values)
+    for cases_of_test in every if any(told.values()) else ():
+        ended = cases_of_test[best]
+        cases_of_test[best] = replace(ended, statistics=replace(ended.statistics, **told))
     parts, few = {}, too_few(finder.exact.rows, len(space.free))
     for one in study.studies:
         home = run.homes.get(one.test)
@@ -170,6 +177,21 @@ def calibrate(
         write_jointly(study, results, answer, used, time.perf_counter() - started)
         write_record(study, results, "calibrate", seeds, answer.sentences, run.quick, run.options, answer.answer)
     return answer
+
+
+def _varying(study: AnyStudy, problem: FitProblem) -> tuple[str, ...]:
+    """Parameters with own values in each test; InputError for one that is not fitted, or of fewer than three tests."""
+    varies = study.settings.calibration.varies
+    fitted = [p.name for p in problem.space.free if not p.integer]
+    for name in varies:
+        tests = len(tests_of(problem, name)) if isinstance(problem, JointProblem) else 1
+        if name not in fitted or tests < LEAST_TESTS:
+            words = f"{tests} tests leave it free" if name in fitted else f"fitted are {', '.join(fitted)}"
+            raise InputError(
+                f"{name!r} cannot vary between the tests: {words}", place=study.place("calibration", "varies"),
+                remedy=f"name fitted parameters of {LEAST_TESTS} tests or more",
+            )  # fmt: skip
+    return varies
 
 
 def why_failed_in(study: LoadedStudy, ledger: Ledger, home: Results | None) -> str:

@@ -53,6 +53,7 @@ def tables_of(
         "unseen_directions": best.identification.directions,
         "predictions": best.predictions.assign(std_from=best.rests_on),
         **({"considered": best.considered.assign(std_from=best.rests_on)} if len(best.considered) else {}),
+        **({"between_tests": best.between.table} if best.between is not None else {}),
         **({"std_by_test": best.by_test.assign(std_from=best.rests_on)} if len(best.by_test) else {}),
     }
 
@@ -95,7 +96,7 @@ def _without_whole(table: pd.DataFrame, space: ParameterSpace) -> pd.DataFrame:
 def write_calibration(study: LoadedStudy, results: Results, answer: Calibration, method: str, seconds: float) -> None:
     """Write all tables on one test and ``summary.json``."""
     begin_analysis(results, "calibrate")
-    gone = ("considered", "unexplained_calibrated", "std_by_test", "modes", "data_errors", "responses")
+    gone = ("considered", "unexplained_calibrated", "std_by_test", "between_tests", "modes", "data_errors", "responses")
     results.remove(*(f"{name}.csv" for name in gone), *ADDED, *INTERVALS, *ROBUSTNESS, *PARETO)
     write_comparison(results, answer.best.answer, "after")
     for name, table in answer.tables.items():
@@ -118,7 +119,7 @@ def write_jointly(study: AnyStudy, results: Results, answer: JointCalibration, m
     """Write the parameters and the tables on all tests together; those on one test are in its own folder."""
     best = answer.any.best
     begin_analysis(results, "calibrate")
-    gone = ("considered.csv", "unexplained_calibrated.csv", "data_errors.csv")
+    gone = ("considered.csv", "unexplained_calibrated.csv", "data_errors.csv", "between_tests.csv")
     results.remove(*gone, *INTERVALS, *ROBUSTNESS, *PARETO)
     for name, table in answer.any.tables.items():
         results.write_table(name, table)

@@ -16,6 +16,7 @@ from calib.analyses.uncertainty import assumed_words, in_one
 from calib.errors.errors import InputError
 from calib.experiment.test import ForwardProblem
 from calib.inference.agreement import Agreement, agreement
+from calib.inference.between import Between
 from calib.inference.cases import CaseResult
 from calib.inference.considered import At, Fittable, Nearby, changes_by_held, considered_table
 from calib.inference.constraints import Hold, holds, multipliers
@@ -162,6 +163,8 @@ class FitStatistics:
         Sum of squares that errors of held parameters are expected to add to the residual.
     mesh : str
         What an error of the mesh may change that nobody stated, in words; see `mesh_doubt`.
+    between : Between or None
+        Parameters with own values in each of several tests; None where the study names none.
     """
 
     values: dict[str, float]
@@ -188,6 +191,7 @@ class FitStatistics:
     considered_misfit: float
     held_squares: float = 0.0
     mesh: str = ""
+    between: Between | None = None
 
     def verdicts(
         self,

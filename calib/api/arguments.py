@@ -47,6 +47,7 @@ class CalibrationKeys(SearchKeys, total=False):
     method: str
     starts: int
     freq_kind: str
+    varies: Sequence[str]
     alpha: float
     mesh_sd: float
 

@@ -88,7 +88,7 @@ class Imported(Displayed):
     def entries(self) -> tuple[Entry, ...]:
         """What the command prints."""
         known = "code_freq" in self.modes
-        heads = ("mode", "Hz", "Hz of the code", "difference", "MAC") if known else ("mode", "Hz")
+        heads: tuple[str, ...] = ("mode", "Hz", "Hz of the code", "difference", "MAC") if known else ("mode", "Hz")
         heads += ("strain energy, most in",) if "set" in self.modes else ()
         rows = [
             (str(row["mode"]), f"{row['freq']:.6g}", *(_beside(row) if known else ()))

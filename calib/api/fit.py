@@ -130,6 +130,15 @@ class Fit(Displayed, Generic[P]):
         return self.statistics.by_test
 
     @property
+    def between_tests(self) -> Any:
+        """Parameters that vary between the tests (``varies``); see `calib.inference.between.between_tests`.
+
+        ``parameter, unit, what, value, low, high, p``: the mean of the tests, the spread between them and the value of
+        each test, with 95 % intervals; None without.
+        """
+        return None if self.statistics.between is None else self.statistics.between.table
+
+    @property
     def answer(self) -> Answer | None:
         """What was found, how sure that is, and what to do next; None for statistics at given values."""
         return None if self.calibration is None else self.calibration.answer

@@ -243,8 +243,9 @@ class Problem:
             As in ``study.toml``, with the same defaults: ``method`` (``"auto"``, ``"genetic"``, ``"gauss-newton"`` or
             ``"cmcf"``), ``starts`` (of ``"gauss-newton"``, which it asks for), ``refine``, ``begin_at``,
             ``start_population``, ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``,
-            ``mutation``, ``sigma_start``, ``sigma_end``, ``freq_kind``, and of ``[explain]`` ``alpha`` and ``mesh_sd``
-            (error of the mesh, over the change to that of ``finer``); see
+            ``mutation``, ``sigma_start``, ``sigma_end``, ``freq_kind``, ``varies`` (parameters with a value of their
+            own in each test), and of ``[explain]`` ``alpha`` and ``mesh_sd`` (error of the mesh, over the change to
+            that of ``finer``); see
             `calib.study.search_settings.CalibrationSettings`.
 
         Raises

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -18,8 +18,8 @@ from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.local import interval_words
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, family_p, scored
+from calib.problem.apart import ApartProblem
 from calib.problem.joint import JointProblem, JointRows, of_test
-from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
 
 BETWEEN = "test_differences"
@@ -148,51 +148,6 @@ def _scored(fit: LinearisedFit, here: LinearisedFit, asked: Sequence[Difference]
     return scored(here, names, [{}] * len(raw), np.column_stack(raw), [True] * len(raw), [0.0] * len(raw))
 
 
-class _Apart:
-    """A joint problem in which some parameters have a difference of their own in one test."""
-
-    def __init__(self, joint: JointProblem, chosen: Sequence[Difference]):
-        self.joint, self.own = joint, {of_test(test, name): (name, test) for name, test in chosen}
-        more = []
-        for label, (name, _) in self.own.items():
-            p = joint.space[name]
-            reach = p.upper - p.lower
-            own = replace(p, scale="linear", prior=None, prior_sd=p.prior_width, prior_correlation=())
-            more.append(replace(own, name=label, value=0.0, lower=-reach, upper=reach))
-        self.space = ParameterSpace((*joint.space.parameters, *more), joint.space.constraints)
-
-    def _values(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
-        """Values of one test, its differences added, within the limits of the parameters."""
-        own = self.joint.own(test, {name: value for name, value in values.items() if name not in self.own})
-        for label, (name, where) in self.own.items():
-            if where == test:
-                p = self.joint.space[name]
-                own[name] = min(max(own[name] + values[label], p.lower), p.upper)
-        return own
-
-    def residual(self, values: Mapping[str, float]) -> np.ndarray:
-        """Whitened residual of all tests, (n_rows,)."""
-        complete = self.space.complete(values)
-        parts = self.joint.parts.items()
-        return np.concatenate([problem.residual(self._values(test, complete)) for test, problem in parts])
-
-    def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        """Its derivative per unit of each parameter and each difference, (n_rows, n_params)."""
-        complete, blocks = self.space.complete(values), []
-        for test, problem in self.joint.parts.items():
-            reached = [self.own[n][0] if n in self.own else n for n in names]
-            acts = [(n not in self.own or self.own[n][1] == test) for n in names]
-            needed = [n for n, act in zip(reached, acts, strict=True) if act and n in problem.space]
-            own = list(dict.fromkeys(needed))
-            slope = problem.jacobian(self._values(test, complete), own)
-            block = np.zeros((len(slope), len(names)))
-            for k, (n, act) in enumerate(zip(reached, acts, strict=True)):
-                if act and n in own:
-                    block[:, k] = slope[:, own.index(n)]
-            blocks.append(block)
-        return np.vstack(blocks)
-
-
 def _freed(fit: LinearisedFit, here: LinearisedFit, chosen: Sequence[Difference]) -> LinearisedFit | None:
     """The fit with some differences fitted too, from where an earlier one ended; None where the model fails.
 
@@ -204,7 +159,7 @@ def _freed(fit: LinearisedFit, here: LinearisedFit, chosen: Sequence[Difference]
         joint, most = joint.inner, most * joint.scale
     if not isinstance(joint, JointProblem):
         return None
-    apart = _Apart(joint, chosen)
+    apart = ApartProblem(joint, chosen)
     start = {p.name: here.values.get(p.name, p.value) for p in apart.space.parameters}
     try:
         found = least_squares_fit(apart, fit.effects, start)

@@ -58,6 +58,7 @@ KEYS = {
     "reduction_by_test": ("effects", "test"),
     "steps": ("step",),
     "steps_errors": ("step", "group"),
+    "between_tests": ("parameter", "what"),
     "std_by_test": ("parameter", "test"),
     "test_differences": ("parameter", "test"),
     "unexplained": ("parameter",),

@@ -221,8 +221,8 @@ class StructuralModel(Analytic):
                 raise InputError(f"a set is called {own!r}, as a direction is", place=f"model {name}, sets",
                                  remedy="rename it")  # fmt: skip
             clusters[own] = np.flatnonzero(np.isin(table.node, inside))
-            both = np.isin(np.array(ends, dtype=int).reshape(-1, 2), inside).all(axis=1)
-            groups = [own if new and old == "lines" else old for new, old in zip(both, groups, strict=True)]
+            groups = [own if old == "lines" and np.isin(line, inside).all() else old
+                      for line, old in zip(ends, groups, strict=True)]  # fmt: skip
         return StructuralModel(
             name=name,
             space=space,

@@ -68,6 +68,9 @@ class CalibrationSettings(Section):
     start_population: PathText | tuple[DesignName, ...] | tuple[dict[str, float], ...] = ()
     """First individuals of every search, before sampled ones: a CSV with a column for each searched parameter and a
     design a row, or evaluated designs, ``["design 12", "design 4711"]``, or their values."""
+    varies: tuple[str, ...] = ()
+    """Parameters with a value of their own in each of three or more tests, such as specimens, whose mean and spread are
+    estimated after the fit."""
     cases: tuple[CaseSettings, ...] = Field(default=(CaseSettings(name="C1", seed=1),), min_length=1)
     """Independent searches; agreement between them is reported for each parameter."""
 

@@ -100,6 +100,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "points": _columns("case point", "objective sum_of_squares prior total", if_there="mean_error mean_mac"),
     "errors_by_case": _columns("case point what", "measured model error mac"),
     "considered": _columns("parameter adds_to words", "value std std_without std_with", flags="matters", blank="unit"),
+    "between_tests": _columns("parameter what", "value low high", blank="unit", if_there="p"),
     "std_by_test": _columns("parameter unit test", "std prior_sd"),
     "convergence": _columns("case", "generation best mean", complete="generation", unbounded="best mean"),
     "posterior_correlation": _matrix("parameter"),
