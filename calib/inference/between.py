@@ -164,7 +164,8 @@ def between_tests(problem: JointProblem, varies: Sequence[str], values: Mapping[
             rows.append((name, unit, test, value, value - reach_of, value + reach_of, np.nan))
     table = pd.DataFrame(rows, columns=list(COLUMNS))
     _, _, covariance = linear.solved(spreads)
-    dof = len(residual) - float(np.sum(covariance * (linear.slope.T @ linear.slope)))
+    measured = linear.slope[: len(residual)]  # without rows of correlated priors
+    dof = len(residual) - float(np.sum(covariance * (measured.T @ measured)))
     misfit = float(residual @ residual)
     return Between(table, misfit, float(before_fit @ before_fit), float(stats.chi2.sf(misfit, max(dof, 1.0))))
 
@@ -179,12 +180,15 @@ def _linearised(
     )
     own = np.concatenate(blocks)
     prior = Prior.of(apart.space)
-    weight, pull = prior.slopes(at, names), prior.residual(at, names)
+    pulls, rows = prior.rows(at, names)
+    (pull, beside), more = np.split(pulls, [len(names)]), rows[len(names) :]
+    weight = np.diag(rows[: len(names)]).copy()
     weight[own] = pull[own] = 0.0
     data = residual - slope[:, own] @ np.array([at[names[k]] for k in own])
     count = errors.shape[1]
+    all_rows = np.block([[slope, errors], [more, np.zeros((len(more), count))]])
     return _Linear(
-        data, np.hstack([slope, errors]), np.concatenate([pull, np.zeros(count)]),
+        np.concatenate([data, beside]), all_rows, np.concatenate([pull, np.zeros(count)]),
         np.concatenate([weight**2, np.ones(count)]), blocks,
     ), residual  # fmt: skip
 

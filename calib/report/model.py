@@ -122,7 +122,9 @@ def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None, forces: 
         Patch(facecolor=COLOURS[k % len(COLOURS)], edgecolor=_BORDER, linewidth=0.5, label=name)
         for k, name in enumerate(names)
     ]
-    handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams and other lines"))
+    lines = mesh.elements[mesh.elements["c"].isna()]
+    if not set(lines["group"].astype(str)) <= set(names):
+        handles.append(Line2D([], [], color=BLACK, linewidth=1.3, label="beams and other lines"))
     if sensors is not None:
         words = f"sensors used ({len(sensors)}) and their directions"
         handles.append(Line2D([], [], color=MEASURED, marker="o", markersize=4.5, linewidth=1.2, label=words))
