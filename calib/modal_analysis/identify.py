@@ -62,7 +62,8 @@ def modes_from_frfs(
     A mode is refused where the fit misses the FRFs, where a further pole would move it (`adequacy`), where its shape
     is complex under one reference (`complex_shape`), or where it does not appear whichever repeat is left out.
 
-    Many lines are thinned to means over close ones first, those of each repeat alike; see `thinned`.
+    Many lines with standard deviations are thinned to means over close ones first, those of each repeat alike; see
+    `thinned`.
 
     Where the records of the FRFs bear an exponential window (``window_rate``), which moved every pole to the left by
     the same amount, the poles are moved back; a mode without damping of its own is refused.
@@ -111,7 +112,8 @@ def modes_from_frfs(
     if frfs.freq[0] == 0:
         frfs = frfs.in_band(frfs.lowest_freq, float(frfs.freq[-1]))
     every_line, repeats = frfs, [_in_order(one, frfs) for one in repeats]
-    frfs, *repeats = (thinned(one, like=every_line) for one in (frfs, *repeats))
+    if all(np.all(frfs.std[one.index] > 0) for one in frfs.functions):
+        frfs, *repeats = (thinned(one, like=every_line) for one in (frfs, *repeats))
     sets = 1 + len(repeats) * (len(repeats) > 1)
     progress(IDENTIFYING, 0, sets)
     whole = _identified(frfs, accept)

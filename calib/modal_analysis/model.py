@@ -212,15 +212,12 @@ class Weighed(NamedTuple):
 
 
 def weighed(frfs: MeasuredFRFs) -> list[Weighed]:
-    """Functions by their standard deviations, each equally where these are not known on all lines.
-
-    Equally is what single lines weigh: an entry that is the mean of several weighs as these.
-    """
-    std, equal = frfs.total_std, np.broadcast_to(1 / np.asarray(frfs.per_line), frfs.values.shape)
+    """Functions by their standard deviations, each equally where these are not known on all lines."""
+    std = frfs.total_std
     out = []
     for one in frfs.functions:
         own, measured = std[one.index], frfs.values[one.index]
-        weight = 1.0 / own if np.all(own > 0) else equal[one.index]
+        weight = 1.0 / own if np.all(own > 0) else np.ones(len(own))
         out.append(Weighed(one, weight, np.concatenate([measured.real * weight, measured.imag * weight])))
     return out
 

@@ -203,16 +203,19 @@ def _around(frfs: MeasuredFRFs, poles: np.ndarray, group: Sequence[int]) -> tupl
 def _cost(frfs: MeasuredFRFs, poles: np.ndarray, moving: bool, count: int) -> float:
     """Information criterion of a model with these poles, of which ``count`` are in question.
 
-    They move between functions, or are further common ones with their residues.
+    They move between functions, or are further common ones with their residues. Of thinned lines, which have standard
+    deviations, it is that of all: what lies within their groups adds as much to every model.
     """
     model, n = most_likely_model(frfs, poles), len(frfs.functions)
     rows = 2 * sum(len(one.lines) for one in frfs.functions)
+    within = 0 if frfs.behind is None else 2 * int(frfs.behind.sum()) - rows
     if moving:
         squares, parameters = scatter(frfs, model, len(poles)).squares, 2 * n * count
     else:
         residual, _ = projected(frfs, model.poles, weighed(frfs))
         squares, parameters = float(residual @ residual), (2 + 2 * n) * count
-    return float(rows * np.log(max(squares, 1e-300)) + parameters * np.log(rows))
+    rows += within
+    return float(rows * np.log(max(squares + within, 1e-300)) + parameters * np.log(rows))
 
 
 def _lines_of_one(frfs: MeasuredFRFs) -> float:

@@ -100,6 +100,16 @@ def test_modes_of_a_roving_mass_are_as_many_as_there_are_and_say_that_functions_
 
 
 @pytest.mark.slow
+def test_thinned_lines_tell_one_moving_mode_as_all_lines_do():
+    frfs = measured(np.linspace(40.0, 80.0, 4001), 3e-3, noise=0.01)
+    known = replace(frfs, std=np.full(frfs.std.shape, 0.01 * np.abs(measured(noise=0.0).values).max()))
+    found, all_lines = modes_from_frfs(known), modes_from_frfs(frfs)
+    assert len(found.curves) < 400 and len(all_lines.curves) == 4001 and found.modes.n_modes == 2
+    np.testing.assert_allclose(found.fit["scatter"], all_lines.fit["scatter"], rtol=0.05)
+    np.testing.assert_allclose(found.modes.freq_std, all_lines.modes.freq_std, rtol=0.1)
+
+
+@pytest.mark.slow
 def test_one_pole_of_two_modes_is_told_from_one_that_moves():
     pair = np.array([52.0, 52.15])  # a seventh of their widths
     close = measured(true=pair, damping=np.array([0.01, 0.01]), noise=0.001)
