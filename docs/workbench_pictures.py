@@ -25,8 +25,10 @@ VIEWS = {
     "beside": ("Correlation", ".pane:nth-child(2) .shapes[data-drawn]"),
 }
 """Name of the picture: that of the view, and what is there once it is drawn."""
-COLOURS, LARGEST = (128, 32, 16), 140_000
+COLOURS, LARGEST = (128, 64, 40, 24, 16), 140_000
 """Of a picture: the most colours with which it is small enough for the documents, in bytes."""
+FAITHFUL, VARIED = Image.Quantize.MEDIANCUT, Image.Quantize.MAXCOVERAGE
+"""How they are chosen: where there are many, and where few must reach from one end to the other."""
 OPTIONS = ["--no-sandbox", "--enable-unsafe-swiftshader"]
 
 
@@ -49,7 +51,8 @@ def take(address: str, into: Path) -> None:
             path = into / f"workbench_{name}.png"
             with Image.open(io.BytesIO(page.screenshot())) as picture:
                 for colours in COLOURS:
-                    picture.convert("RGB").quantize(colours).save(path, optimize=True)
+                    method = FAITHFUL if colours == COLOURS[0] else VARIED
+                    picture.convert("RGB").quantize(colours, method).save(path, optimize=True)
                     if path.stat().st_size <= LARGEST:
                         break
             print(path)

@@ -10,9 +10,9 @@ import pandas as pd
 from calib.errors.errors import InputError
 from calib.missing.explanation import NAMED, OPEN
 from calib.report.html import cells, effects, explanation
-from calib.report.html.answer import effects_in_model
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, probability
+from calib.study.study_file import StudyFile
 from calib.workbench.measurement import recommended
 from calib.workbench.studies import KnownStudy, Studies
 
@@ -124,7 +124,7 @@ def _version(studies: Studies, study: KnownStudy, parent: str, part: str) -> dic
     try:
         results = studies.results(study, own)
         table = results.table("data_errors")
-        names = effects_in_model(results)
+        names = list(StudyFile.read(study.file).settings.with_effects)
     except InputError as fault:
         return {**found, "effects": [], "errors": [], "fault": fault.sentence}
     return {

@@ -14,6 +14,7 @@ import threading
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import IO, Any
 
 from calib.errors.errors import InputError
@@ -172,7 +173,10 @@ class Commands:
         # The pid of a command that has ended may be another one's by now.
         notes = {n["pid"]: n for n in notes_in(study.home) if n["running"] or n["told"] > written}
         mine = {one.process.pid for one in own}
-        found = [_told(one, notes.get(one.process.pid) if one.code is None else None) for one in own]
+        running = {one.process.pid: Path(*one.arguments[1:2]).name for one in own if one.code is None}
+        others = [notes_in(study.root / name) for name in set(running.values()) - {study.name}]
+        far = {n["pid"]: n for told in others for n in told if n["pid"] in running}  # on an extended study
+        found = [_told(one, (notes | far).get(one.process.pid) if one.code is None else None) for one in own]
         found += [_noted(note) for pid, note in notes.items() if pid not in mine]
         return sorted(found, key=lambda one: float(one["began"]))
 

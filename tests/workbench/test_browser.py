@@ -26,6 +26,8 @@ DRAWN = {
     "What if": "#rows tbody tr", "Designs": "#further h2", "Measurement": "#space canvas", "Parameters": "#parameter",
 }  # fmt: skip
 """Each view, and what is there once it is drawn, whatever was run."""
+REFUSAL = "409 (Conflict)"
+"""A refused request, which the page tells in a sentence."""
 PATIENT = 120_000
 """Milliseconds for what another process computes."""
 
@@ -72,7 +74,10 @@ def tab(browser):
         contexts.append(context)
         page = context.new_page()
         page.set_default_timeout(PATIENT)
-        page.on("console", lambda message: complaints.append(message.text) if message.type == "error" else None)
+        page.on(
+            "console",
+            lambda told: complaints.append(told.text) if told.type == "error" and REFUSAL not in told.text else None,
+        )
         page.on("pageerror", lambda fault: complaints.append(str(fault)))
         page.goto(address)
         return page

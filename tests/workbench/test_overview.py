@@ -88,11 +88,14 @@ def test_a_folder_lists_its_studies_and_their_versions(here, page_of):
     shutil.copytree(here / "mast", here / "more/deeper/other")
     version = here / "results/mast/mast_with_guy"
     version.mkdir()
-    (version / "study.toml").write_text('title = "With a guy"\nbase = "../../../mast"\n')
-    found = {one["name"]: one for one in page_of(Path(".")).get("studies").json()["studies"]}
+    (version / "study.toml").write_text('title = "With a guy"\nbase = "../../../mast"\nwith_effects = ["guy"]\n')
+    page = page_of(Path("."))
+    found = {one["name"]: one for one in page.get("studies").json()["studies"]}
     assert list(found) == ["mast", "mast_with_guy", "other"]
     assert found["mast_with_guy"]["parent"] == found["mast"]["key"] and found["other"]["parent"] == ""
     assert found["mast"]["done"] == ["compare"] and found["other"]["done"] == []
+    family = page.get(f"study/{found['mast']['key']}/versions").json()["versions"]
+    assert [(one["name"], one["effects"]) for one in family] == [("mast", []), ("mast_with_guy", ["guy"])]
 
 
 def test_results_are_read_once_until_they_change(here):

@@ -141,6 +141,19 @@ def test_the_note_of_an_own_command_tells_how_far_it_is(study, commands):
     assert (seen["verb"], seen["done"], seen["total"]) == ("run", 3.0, 9.0)
 
 
+def test_a_command_on_an_extended_study_tells_how_far_it_is_too(study, commands):
+    code = (
+        "import pathlib, time; from calib.results.running import RunningNote\n"
+        "home = pathlib.Path('results/mast_with_guy'); home.mkdir()\n"
+        "with RunningNote(home, 'calibrate', {}) as note:\n"
+        "    note.tell('calibrate: A1, generation 3/9', 'search', 3.0, 9.0, 0.5, '5 s'); time.sleep(60)"
+    )
+    own = commands(code)
+    own.start_all(study, [("calibrate", ("calibrate", "results/mast/mast_with_guy"))], {"effects": ["guy"]})
+    until(lambda: own.listing(study)[0]["words"] == "calibrate: A1, generation 3/9")
+    assert [one["left"] for one in own.listing(study)] == ["5 s"]
+
+
 def test_an_extended_study_has_a_place_of_its_own(study, here):
     (_, first), (_, second) = adding(study, ["guy", "a b"], quick=True)
     place = here / "results/mast/mast_with_guy_a_b"

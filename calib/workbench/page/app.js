@@ -182,7 +182,8 @@ class Page {
         (beside) => this.go({ beside, beside_part: undefined })) : null,
       several ? h("h2", {}, "Studies") : null,
       ...(several ? this.studies.slice(0, 30).map((one) =>
-        h("a", { class: "study", href: `#/${one.key}/${asked.view || "overview"}`, title: `${one.name}: ${one.path}`, "aria-current": one.key === asked.key ? "true" : null }, one.name)) : []),
+        h("a", { class: "study", href: `#/${one.key}/${asked.view || "overview"}`, title: `${one.name}: ${one.path}`, "aria-current": one.key === asked.key ? "true" : null },
+          one.name.split("_").flatMap((word, k) => (k ? ["_", h("wbr"), word] : [word])))) : []),
       h("span", { class: "grow" }),
       h("label", {}, h("span", { class: "soft" }, "Colours"), mode),
     ].filter(Boolean);

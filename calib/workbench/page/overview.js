@@ -47,7 +47,7 @@ export class Overview {
       summary.sure ? h("p", { class: "soft" }, summary.sure) : null,
       summary.then ? h("p", {}, h("strong", {}, "Next: "), summary.then) : null,
       h("div", { class: "act" },
-        next === "add" ? h("a", { class: "button", href: page.address("missing") }, "See and add what is missing") :
+        next === "add" ? h("a", { class: "button main", href: page.address("missing") }, "See and add what is missing") :
           next ? page.button(next, named[next] ?? next, "main") : null,
         next ? page.quickly() : null,
         known.report ? h("a", { class: "button", href: page.of("report"), target: "_blank", rel: "noopener" }, "Report") : null)),

@@ -78,11 +78,12 @@ export class Pane {
   knows(known) {
     this.known = known;
     const { page } = this, own = page.panes[0] === this ? "part" : "beside_part";
-    if (this.wanted === this.part) this.wanted = undefined;
-    if (this.wanted !== undefined && known.parts.includes(this.wanted)) {
-      page.go({ [own]: this.wanted });
+    const { parts } = known, part = parts.includes(this.wanted) ? this.wanted : parts.includes(this.part) || !parts.length ? this.part : parts[0];
+    if (part !== this.part) {
+      page.go({ [own]: part });
       return;
     }
+    this.trouble.replaceChildren("");
     page.draw();
     this.head.hidden = page.panes.length < 2;
     this.head.replaceChildren(h("h2", { title: known.path }, known.name),
