@@ -97,9 +97,11 @@ class Sensitivity:
     def sentences(self) -> tuple[str, ...]:
         """Number of samples, reasons of failure, and the selection."""
         samples = f"{self.samples} sample{'s' * (self.samples != 1)}"
+        if self.acceptance < 1.0:
+            samples += f" satisfied the constraints (acceptance {100 * self.acceptance:.0f} %)"
+        unpaired = f", {self.unpaired} left a mode unpaired" if self.unpaired else ""
         return (
-            f"{samples} satisfied the constraints (acceptance {100 * self.acceptance:.0f} %), {self.failed} failed, "
-            f"{self.unpaired} left a mode unpaired. "
+            f"{samples}, {self.failed} failed{unpaired}. "
             f"Chance alone gives rank correlations up to {self.noise_floor:.2f}.",
             *filter(None, [self.wide, self.why_failed]),
             self.assessment.sentence,
