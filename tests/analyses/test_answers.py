@@ -25,7 +25,7 @@ def statistics(fits=True, suspected=(), ratios_only=False, complete=True, assume
     table = pd.DataFrame({"what": list(suspected), "explains": [True] * len(suspected)}, columns=["what", "explains"])
     return SimpleNamespace(
         fits=fits, p_fit=0.25, suspects=table, assumed=assumed, complete=complete,
-        identification=SimpleNamespace(ratios_only=ratios_only), considered=considered, mesh=mesh,
+        identification=SimpleNamespace(ratios_only=ratios_only), considered=considered, mesh=mesh, between=None,
     )  # fmt: skip
 
 
