@@ -121,4 +121,4 @@ def _told(given: Any) -> str:
         return f"the class {given.__name__}"
     if isinstance(given, str | int | float):
         return f"{given!r:.40}"
-    return f"of type {type(given).__name__}"
+    return f"a value of type {type(given).__name__}"
