@@ -114,5 +114,5 @@ def read_mapping(file: Path, lines: list[str]) -> np.ndarray:
 
 
 def _mapped(line: str) -> tuple[int, int, str] | None:
-    match = re.match(r"\s*(\d+)\s+(\d+)\s+([A-Za-z]\w*)\s*$", line)
+    match = re.match(r"\s*(\d+)\s+(\d+)\s+(?!(?:nan|inf|infinity)\s*$)([A-Za-z]\w*)\s*$", line, re.IGNORECASE)
     return None if match is None else (int(match[1]), int(match[2]), match[3].upper())

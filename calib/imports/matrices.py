@@ -119,7 +119,9 @@ def read_matrices(
         elif file.suffix.lower() in DECKS or file in bulk:
             coordinates = file if coordinates is None else coordinates
         else:
-            stored += [(file, one) for one in _stored(file, raw, text, lines)]
+            found, told = _stored(file, raw, text, lines)
+            notes += told
+            stored += [(file, one) for one in found]
     for file, text in bulk.items():
         coordinates = file if coordinates is None and re.search(r"^GRID[\s*,]", text, re.MULTILINE) else coordinates
         rows = analysis_set(text) if rows is None else rows
@@ -127,6 +129,11 @@ def read_matrices(
     notes += told
     table, told = _rows([one for own in by_kind.values() for one in own.values()], dofs, rows)
     notes += told
+    stated = (chosen or {}).get("damping")
+    empty = [] if stated else [name for name, one in by_kind["damping"].items() if _is_none(one, table)]
+    for name in empty:  # what Nastran writes for no damping
+        notes += (f"Left out: {name}, a damping of one row.",)
+        by_kind["damping"].pop(name)
     matrices: Mapping[str, Mapping[str, sp.coo_array]] = {
         kind: {name: _sized(one, table, name).matrix for name, one in own.items()} for kind, own in by_kind.items()
     }
@@ -171,20 +178,20 @@ def _with_neighbours(files: Sequence[Path]) -> tuple[list[Path], tuple[str, ...]
     return out, (words,) if beside else ()
 
 
-def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]:
-    """The matrices of one file that is neither DMIG nor a deck."""
+def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> tuple[list[Stored], tuple[str, ...]]:
+    """The matrices of one file that is neither DMIG nor a deck, and what is left out of it."""
     if file.suffix.lower() in UFF_SUFFIXES:
         remedy = f"name what was measured by an option of its own, --measured {file}, or all by a pattern in quotes"
         raise InputError("it is a universal file, which holds no matrices", place=file, remedy=remedy)
     held = read_container(file, raw)
     if held is not None:
-        return held
+        return held, ()
     if is_op2(raw):
         return read_op2_matrices(file, raw)
     if is_op4(raw):
         return read_op4(file, raw)
     if is_harwell_boeing(lines):
-        return [read_harwell_boeing(file, lines)]
+        return [read_harwell_boeing(file, lines)], ()
     if not text:
         raise InputError(
             "its form is unknown", place=file, remedy="give matrices in a form of the page on finite-element codes"
@@ -192,9 +199,9 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> list[Stored]
     name = {".sti": "stiffness", ".mas": "mass"}.get(file.suffix.lower(), file.stem)
     table = numbers_of(text, (3, 5), file)
     if table.shape[1] == 3:
-        return [counted_from_one(name, table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], file)]
+        return [counted_from_one(name, table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], file)], ()
     labels = table[:, :4].astype(int)
-    return [named(name, labels[:, :2], labels[:, 2:], table[:, 4], file)]
+    return [named(name, labels[:, :2], labels[:, 2:], table[:, 4], file)], ()
 
 
 def kind_of(name: str) -> str:
@@ -269,6 +276,11 @@ def _rows(flat: Sequence[Stored], dofs: Path | None, listed: np.ndarray | None) 
     for axis in "xyz":
         table[axis] = table["node"].map(places[axis])
     return table, ()
+
+
+def _is_none(stored: Stored, table: pd.DataFrame) -> bool:
+    """Whether a matrix is one number for a model of more rows."""
+    return stored.labels is None and stored.matrix.shape[0] == 1 < len(table)
 
 
 def _sized(stored: Stored, table: pd.DataFrame, name: str) -> Stored:

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from calib.errors.errors import InputError
 from calib.imports.frd import Found
-from calib.imports.op4 import StoredStrings
+from calib.imports.op4 import StoredStrings, taken
 from calib.imports.stored import Stored
 from calib.imports.systems import Systems, axes_in
 from calib.measurement.places import Point
@@ -71,7 +71,7 @@ def _scanned(raw: bytes) -> Iterator[_Block]:
     (word,) = struct.unpack(order + "i", raw[:4])
     at, records, chunks = 0, list[list[bytes]](), list[bytes]()
 
-    def taken() -> bytes:
+    def record() -> bytes:
         nonlocal at
         (length,) = struct.unpack_from(order + "i", raw, at)
         out = raw[at + 4 : at + 4 + length]
@@ -81,9 +81,9 @@ def _scanned(raw: bytes) -> Iterator[_Block]:
         return out
 
     while at < len(raw):
-        (key,) = np.frombuffer(taken(), f"{order}i{word}")
+        (key,) = np.frombuffer(record(), f"{order}i{word}")
         if key > 0:
-            chunks.append(taken())
+            chunks.append(record())
         elif key < 0:
             records.append(chunks)
             chunks = []
@@ -208,8 +208,8 @@ def _set_of_all(names: _Block) -> np.ndarray:
     return np.array(sorted(rows), dtype=int)[:, 1:]
 
 
-def read_op2_matrices(file: Path, raw: bytes) -> list[Stored]:
-    """Square real matrices of the file; of the set of all degrees of freedom with the names of their rows (EQEXIN).
+def read_op2_matrices(file: Path, raw: bytes) -> tuple[list[Stored], tuple[str, ...]]:
+    """Square real matrices of the file, of all degrees of freedom with the names of rows (EQEXIN); what is left out.
 
     Raises
     ------
@@ -218,24 +218,18 @@ def read_op2_matrices(file: Path, raw: bytes) -> list[Stored]:
     """
     blocks = _blocks(file, raw)
     rows = next((_set_of_all(block) for block in blocks if block.name.startswith("EQEXIN")), None)
-    out = []
+    found = []
     for block in blocks:
         if not block.is_matrix:
             continue
         n_columns, n_rows, kind = (int(block.trailer[k]) for k in (1, 2, 4))
-        real = f"{block.order}f8" if kind == 2 or block.word == 8 else f"{block.order}f4"
+        real = f"{block.order}f8" if kind in (2, 4) or block.word == 8 else f"{block.order}f4"
         strings = [
-            (
-                int(block.integers(one[: block.word])[0]) - 1,
-                column,
-                np.frombuffer(one[block.word :], real).astype(float),
-            )
-            for column, chunks in enumerate(block.records)
+            (int(block.integers(one[: block.word])[0]) - 1, k, np.frombuffer(one[block.word :], real).astype(float))
+            for k, chunks in enumerate(block.records)
             for one in chunks
         ]
-        if n_columns == n_rows and kind in (1, 2):
-            own = StoredStrings(block.name, n_rows, n_columns, kind, strings).stored(file)
-            out.append(own if rows is None or len(rows) != n_rows else Stored(own.name, own.matrix, rows))
-    if not out:
-        raise InputError("it holds no square real matrix", place=file, remedy="write KGG and MGG by OUTPUT2 or OUTPUT4")
-    return out
+        found.append(StoredStrings(block.name, n_rows, n_columns, kind, strings))
+    stored, notes = taken(file, found)
+    known = [len(rows) == one.matrix.shape[0] if rows is not None else False for one in stored]
+    return [replace(one, labels=rows) if own else one for one, own in zip(stored, known, strict=True)], notes

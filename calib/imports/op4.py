@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -32,14 +32,14 @@ class StoredStrings:
     kind: int
     strings: list[tuple[int, int, np.ndarray]]
 
+    @property
+    def is_taken(self) -> bool:
+        """Whether it is square and real."""
+        return self.n_rows == self.n_columns and self.kind <= 2
+
     def stored(self, file: Path) -> Stored:
-        """The matrix, without names of its rows; InputError for one that is rectangular, complex or damaged."""
+        """The matrix, without names of its rows; InputError for one with entries outside."""
         place = f"{file}, matrix {self.name}"
-        if self.n_rows != self.n_columns:
-            raise InputError(f"it has {self.n_rows} rows and {self.n_columns} columns", place=place,
-                             remedy="write KAA and MAA, or KGG and MGG")  # fmt: skip
-        if self.kind > 2:
-            raise InputError("it is complex", place=place, remedy="write stiffness, damping and mass as real matrices")
         lengths = [len(values) for _, _, values in self.strings]
         rows = np.concatenate([np.arange(first, first + len(v)) for first, _, v in self.strings] or [np.zeros(0, int)])
         columns = np.repeat([column for _, column, _ in self.strings], lengths).astype(int)
@@ -59,22 +59,36 @@ def is_op4(raw: bytes) -> bool:
     return all(re.fullmatch(r"\s*-?\d+", cell) for cell in cells[:4]) and cells[3] in "1234" and bool(cells[4])
 
 
-def read_op4(file: Path, raw: bytes) -> list[Stored]:
-    """Matrices of an OUTPUT4 file, without names of their rows, which the file does not have.
+def read_op4(file: Path, raw: bytes) -> tuple[list[Stored], tuple[str, ...]]:
+    """Square real matrices of an OUTPUT4 file, without names of their rows, which it does not have; what is left out.
 
     Raises
     ------
     InputError
-        For matrices that are not square or complex, and a file that is cut off.
+        For a file that is cut off, and one without such a matrix.
     """
     try:
         found = list(_binary(raw) if _order(raw) is not None else _text(raw.decode("latin-1").splitlines()))
     except (ValueError, IndexError, struct.error) as fault:
         raise InputError(f"it cannot be read ({fault})", place=file, remedy="write it again; it may be cut off"
                          ) from None  # fmt: skip
-    if not found:
-        raise InputError("it holds no matrix", place=file, remedy="write KAA and MAA by OUTPUT4")
-    return [one.stored(file) for one in found]
+    return taken(file, found)
+
+
+def taken(file: Path, found: Sequence[StoredStrings]) -> tuple[list[Stored], tuple[str, ...]]:
+    """The square real ones of the matrices of a file, and a sentence on the others; InputError where none is left."""
+    other = [
+        f"{one.name} ({'complex' if one.kind > 2 else f'{one.n_rows} rows, {one.n_columns} columns'})"
+        for one in found
+        if not one.is_taken
+    ]
+    if len(other) == len(found):
+        what = f", but {', '.join(other)}" if other else ""
+        raise InputError(
+            f"it holds no square real matrix{what}", place=file, remedy="write KAA and MAA, or KGG and MGG"
+        )
+    words = f"Left out of {file.name}, since they are not square or not real: {', '.join(other)}."
+    return [one.stored(file) for one in found if one.is_taken], (words,) if other else ()
 
 
 def _strings(

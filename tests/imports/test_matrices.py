@@ -12,6 +12,7 @@ import pytest
 import scipy.io
 import scipy.sparse as sp
 
+import calib
 from calib.errors.errors import InputError
 from calib.imports.matrices import kind_of, read_matrices
 
@@ -250,3 +251,56 @@ def test_damaged_files_are_refused_with_their_place(form, damage, words, tmp_pat
     damage(tmp_path)
     with pytest.raises(InputError, match=words):
         read_matrices(files, **more)
+
+
+def damaged(fault):
+    stiffness, mass = K.copy(), M.copy()
+    if fault == "not a number":
+        stiffness[3, 3] = np.nan
+    elif fault == "asymmetry":
+        i, j = np.unravel_index(np.argmax(np.abs(np.triu(K, 1))), K.shape)
+        stiffness[i, j] *= 1.01
+    elif fault == "negative mass":
+        mass[5, 5] *= -1.0
+    elif fault == "empty row":
+        stiffness[7], stiffness[:, 7], mass[7], mass[:, 7] = 0.0, 0.0, 0.0, 0.0
+    return stiffness, mass
+
+
+def written(form, home, monkeypatch, stiffness, mass):
+    """The files of a form with other matrices."""
+    for name, matrix in (("K", stiffness), ("M", mass)):
+        monkeypatch.setitem(globals(), name, matrix)
+    files, more = FORMS[form](home)
+    for suffix, matrix in (("sti", stiffness), ("mas", mass)) if form == "CalculiX" else ():
+        rows = (f"{j + 1} {i + 1} {v:.14e}" for i, j, v in zip(*triangle(matrix), strict=True))
+        (home / f"solid.{suffix}").write_text("\n".join(rows))
+    return files, more
+
+
+FULL = ("MATLAB", "npz", "RUA")
+"""Forms that hold both triangles."""
+
+
+@pytest.mark.parametrize("form", FORMS)
+@pytest.mark.parametrize(
+    ("fault", "words"),
+    [("not a number", r"nan|finite"), ("negative mass", r"mass at row \d+ .*sign"), ("asymmetry", "symmetric")],
+)
+def test_wrong_matrices_are_refused_at_every_door(form, fault, words, tmp_path, monkeypatch):
+    if fault == "asymmetry" and form not in FULL:
+        pytest.skip("it holds one triangle")
+    files, more = written(form, tmp_path, monkeypatch, *damaged(fault))
+    with pytest.raises(InputError, match=words):
+        calib.import_matrices(files, units="mm-t-N", **more)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_an_empty_row_is_fixed_and_the_mass_is_told_at_every_door(form, tmp_path, monkeypatch):
+    stiffness, mass = damaged("empty row")
+    files, more = written(form, tmp_path, monkeypatch, stiffness, mass)
+    found = calib.import_matrices(files, units="mm-t-N", **more)
+    assert found.model.n_dof == 41 or len(found.read.dofs) == 41
+    moving = [k for k, (_, d) in enumerate(NAMES) if d == 1]
+    kg = f"{1e3 * mass[np.ix_(moving, moving)].sum():.5g} kg"
+    assert any("Mass that moves in x" in note and kg.split()[0] in note for note in found.notes)

@@ -1,6 +1,7 @@
 """Nastran's matrices: real exports of every form of OUTPUT4, a real DMIG punch, a superelement in axes of its own."""
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from calib.errors.errors import InputError
 from calib.imports import op4
 from calib.imports.matrices import read_matrices
 from calib.imports.nastran import read_dmig
-from calib.imports.op4 import read_op4
+from calib.imports.op4 import StoredStrings, read_op4, taken
 from calib.imports.systems import analysis_set, axes_of, turned_into_global
 
 EXPORTS = Path(__file__).parent / "exports"
@@ -61,9 +62,31 @@ def test_an_output4_file_that_is_cut_off_is_refused(cut, tmp_path):
         read_op4(tmp_path / "k.op4", raw[:-cut])
 
 
-def test_a_matrix_that_is_not_square_is_refused():
-    with pytest.raises(InputError, match="rows and"):
-        read_op4(EXPORTS / "rdbin.op4", (EXPORTS / "rdbin.op4").read_bytes())
+def test_a_file_without_square_matrices_is_refused():
+    with pytest.raises(InputError, match=r"no square real matrix.*VA \(2 rows, 1 columns\)"):
+        taken(Path("all.op4"), [StoredStrings("VA", 2, 1, 2, [])])
+
+
+def test_matrices_beside_stiffness_and_mass_are_left_out_and_told():
+    one = np.array([2.0])
+    square = StoredStrings("KAA", 2, 2, 2, [(0, 0, one), (1, 1, one)])
+    (kept,), (words,) = taken(Path("all.op4"), [square, replace(square, name="VA", n_columns=1, strings=[]),
+                                                replace(square, name="K4", kind=4)])  # fmt: skip
+    assert kept.name == "KAA" and kept.matrix.toarray().tolist() == [[2, 0], [0, 2]]
+    assert "VA" in words and "K4" in words and "KAA" not in words
+
+
+def test_a_damping_of_one_row_is_none(tmp_path):
+    for name, entry in (("K", "1 1 2.0\n2 2 3.0"), ("M", "1 1 1.0\n2 2 1.0")):
+        (tmp_path / f"{name}.mtx").write_text(entry)
+    lines = [f"{1:8d}{1:8d}{2:8d}{1:8d}{'B':8}1P,3E23.16", f"{1:8d}{1:8d}{1:8d}", f"{0.0:23.16E}"]
+    (tmp_path / "all.op4").write_text("\n".join([*lines, f"{2:8d}{1:8d}{1:8d}", f"{1.0:23.16E}", ""]))
+    (tmp_path / "rows.csv").write_text("node,direction\n1,x\n2,x\n")
+    files, dofs = [tmp_path / name for name in ("K.mtx", "M.mtx", "all.op4")], tmp_path / "rows.csv"
+    found = read_matrices(files, dofs=dofs)
+    assert not found.matrices["damping"] and any("B" in note for note in found.notes)
+    with pytest.raises(InputError, match="1 rows"):
+        read_matrices(files, dofs=dofs, chosen={"damping": ["B"]})
 
 
 def test_a_real_punch_names_its_rows_with_scalar_points_among_them():
