@@ -68,6 +68,7 @@ FIGURES = {
     "vehicle_parameters": Shown("vehicle", "parameters"),
     "vehicle_sensitivity": Shown("vehicle", "sensitivity"),
     "hidden_effect_errors": Shown("hidden_effect", "errors_before_after"),
+    "solar_panel_model": Shown("solar_panel", "model"),
     "solar_panel_study": Shown("solar_panel", "frf_overlays"),
     "solar_panel_reduction": Shown("solar_panel_article", "reduction"),
     "solar_panel_convergence": Shown("solar_panel_article", "convergence"),

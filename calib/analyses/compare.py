@@ -12,13 +12,13 @@ import pandas as pd
 from calib.analyses.answers import listed, of_comparison
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import traced
-from calib.analyses.provenance.state import GEOMETRY, ORTHOGONALITY
+from calib.analyses.provenance.state import ORTHOGONALITY
 from calib.analyses.uncertainty import std_notes
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.frf.gross_errors import GrossError, gross_errors
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
-from calib.correlation.mesh_error import geometry_tables
+from calib.correlation.mesh_error import write_geometry
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.correlation.modal.found_twice import FoundTwice, found_twice
@@ -356,6 +356,7 @@ def write_comparison(results: Results, answer: ComparisonResult, stage: str) -> 
     if answer.frfs is not None:
         results.write_table(f"frf_{stage}", answer.frfs.overlay_table())
         results.write_table(f"frf_lines_{stage}", answer.frfs.lines_table())
+        write_geometry(results, answer.frfs.structure)
     if answer.comparison is None:
         return
     results.write_table(f"where_it_fails_{stage}", answer.comparison.where_it_fails())
@@ -380,11 +381,7 @@ def _write_orthogonality(results: Results, answer: ComparisonResult, stage: str)
 
 def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
     """Write the mesh, and frequencies, damping and deflections of the paired model modes, from which they are drawn."""
-    tables = geometry_tables(comparison.model)
-    if not tables:  # nowhere to draw anything
-        results.remove(*GEOMETRY)
-    for name, table in tables.items():
-        results.write_table(name, table)
+    write_geometry(results, comparison.model)
     names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
     modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
     results.write_table(f"model_modes_{stage}", modes.rename(columns=names))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -19,6 +19,12 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
 
+if TYPE_CHECKING:
+    from calib.results.results import Results
+
+GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
+"""Files of `geometry_tables`."""
+
 
 def geometry_tables(model: ModalModel) -> dict[str, pd.DataFrame]:
     """Return ``mesh_points``, ``mesh_elements`` and ``model_places`` of a model; none without coordinates."""
@@ -29,6 +35,15 @@ def geometry_tables(model: ModalModel) -> dict[str, pd.DataFrame]:
         "mesh_elements": elements_table(model.mesh),
         "model_places": places_table(model.places),
     }
+
+
+def write_geometry(results: Results, model: ModalModel) -> None:
+    """Write `geometry_tables`; earlier ones go where there is nowhere to draw anything."""
+    tables = geometry_tables(model)
+    if not tables:
+        results.remove(*GEOMETRY)
+    for name, table in tables.items():
+        results.write_table(name, table)
 
 
 def points_table(mesh: Mesh) -> pd.DataFrame:

@@ -16,6 +16,7 @@ from typing import Any
 from calib.correlation import fault_rules as faults
 from calib.correlation import rules as comparison
 from calib.correlation import standard_deviations
+from calib.correlation.mesh_error import GEOMETRY
 from calib.hypotheses import rules as analyses
 from calib.inference import rules as inference
 from calib.measurement import rules as reading
@@ -45,8 +46,6 @@ def _of_stages(*stages: str) -> tuple[str, ...]:
     return tuple(f"{kind}_{stage}.csv" for kind in kinds for stage in stages)
 
 
-GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
-"""Files of `calib.correlation.mesh_error.geometry_tables`."""
 ADDED = ("added.json", "added_errors.csv", "added_parameters.csv", "added_modes.csv", "comparison_added.csv",
          "frf_added.csv", "frf_lines_added.csv", "where_it_fails_added.csv")  # fmt: skip
 """Files of `calib.analyses.added`, removed with the calibration or the explanation that they rest on."""

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 
 from calib.measurement.frf import MeasuredFRFs, MeasuredFunction
+from calib.structure.modal_model import ModalModel
 
 
 def assurance(measured: np.ndarray, model: np.ndarray) -> float:
@@ -41,11 +42,14 @@ class FRFComparison:
     model : ndarray (n_freq, n_responses, n_references), complex
     std : ndarray (n_freq, n_responses, n_references)
         Standard deviation of the real and of the imaginary part each.
+    structure : ModalModel
+        The model whose FRFs they are.
     """
 
     measured: MeasuredFRFs
     model: np.ndarray
     std: np.ndarray
+    structure: ModalModel
 
     def functions_table(self) -> pd.DataFrame:
         """One row per function: ``response, reference, unit, lines, frac, amplitude, error, in_std``.

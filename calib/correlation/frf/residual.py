@@ -126,7 +126,7 @@ class FRFResidual:
 
     def compared(self, values: Mapping[str, float]) -> FRFComparison:
         """Measured and model FRFs at named values; EvaluationError where the model has none."""
-        return FRFComparison(self.problem.measured, self.solve(values), self._std)
+        return FRFComparison(self.problem.measured, self.solve(values), self._std, self.problem.model)
 
     @property
     def row_freqs(self) -> np.ndarray:
