@@ -24,6 +24,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.partners import require_limit
 from calib.problem.space import ParameterSpace
+from calib.results.in_short import Short, named
 from calib.structure.function_model import FunctionModel
 from calib.structure.located import sensor_partners
 from calib.structure.modal_function import ModalFunctionModel
@@ -61,7 +62,7 @@ class TestError(InputError):
         return out
 
 
-class Test(ABC):
+class Test(Short, ABC):
     """A test under one condition; subclasses say what was measured, and how a model is compared with it.
 
     Analyses in memory take any subclass. Data that are neither modes nor FRFs are compared value by value; they then
@@ -89,6 +90,14 @@ class Test(ABC):
     """Whether the sum of squares over its data typically has many minima, so that a rejected fit starts further."""
     shows_mesh: ClassVar[bool] = False
     """Whether its data show the error of a mesh, so that a finer one may be given."""
+
+    def __str__(self) -> str:
+        """Name, condition and what is kept back, above the data."""
+        held = [str(one) for name in vars(self) if name.startswith("held_out") for one in getattr(self, name)]
+        lines = [f"{self.name}:" if self.name else "a test:"]
+        lines += [f"condition: {', '.join(f'{n} = {v:g}' for n, v in self.condition.items())}"] * bool(self.condition)
+        lines += [f"validation data: {named(held)}"] * bool(held)
+        return "\n".join([*lines, str(self.measured)])
 
     @property
     @abstractmethod

@@ -17,6 +17,7 @@ from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
 from calib.measurement.rules import RULES
 from calib.results.fingerprint import digest_of
+from calib.results.in_short import Short, marked, named
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
@@ -57,7 +58,7 @@ class MeasuredFunction:
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredFRFs:
+class MeasuredFRFs(Short):
     """Frequency response functions of one structure.
 
     Attributes
@@ -109,6 +110,17 @@ class MeasuredFRFs:
     accuracy: Claim = NOTHING
     window_rate: float = 0.0
     behind: np.ndarray | None = None
+
+    def __str__(self) -> str:
+        """How many functions and lines there are, and their responses and references."""
+        count = int(np.any(np.isfinite(self.values), axis=0).sum())
+        repeats = f", {self.n_repeats} repeats" if self.n_repeats > 1 else ""
+        head = (
+            f"{count} FRFs ({self.quantity}), {len(self.freq)} lines from {self.freq[0]:.4g} to {self.freq[-1]:.4g} Hz"
+            f"{repeats}{marked(self.synthetic)}"
+        )
+        both = (("responses", self.responses), ("references", self.references))
+        return "\n".join([head, *(f"{what}: {named([one.name for one in sensors])}" for what, sensors in both)])
 
     def __post_init__(self) -> None:
         place, shape = self._place, (len(self.freq), len(self.responses), len(self.references))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -14,6 +14,7 @@ from calib.errors.errors import InputError
 from calib.measurement.accuracy import NONE_CLAIMED, Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.places import Misplaced
+from calib.results.in_short import Short, aligned, marked
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 """Direction names; index + 1 is the direction code of the universal file format."""
@@ -59,7 +60,7 @@ class Sensor:
 
 
 @dataclass(frozen=True)
-class MeasuredModes:
+class MeasuredModes(Short):
     """Measured modes of one structure: means over repeats with the standard deviations of the means.
 
     Attributes
@@ -202,17 +203,11 @@ class MeasuredModes:
         """A short table: frequencies with their standard deviations, and damping."""
         sensors = f" at {len(self.sensors)} sensors" if self.has_shapes else ""
         repeats = f", {self.n_repeats} repeats" if self.n_repeats > 1 else ""
-        head = f"{self.n_modes} modes{sensors}{repeats}{' (synthetic)' * self.synthetic}"
+        head = f"{self.n_modes} modes{sensors}{repeats}{marked(self.synthetic)}"
         rows: list[tuple[str, ...]] = [("mode", "natural Hz", "std Hz", "damping %")]
         for mode in zip(self.names, self.natural_freq, self.freq_std, 100 * self.damping_ratio, strict=True):
             rows.append((mode[0], *("" if np.isnan(value) else f"{value:.4g}" for value in mode[1:])))
-        widths = [max(len(row[k]) for row in rows) for k in range(4)]
-        lines = ("  ".join(cell.rjust(width) for cell, width in zip(row, widths, strict=True)) for row in rows)
-        return "\n".join([head, *(line.rstrip() for line in lines)])
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """As notebooks show it."""
-        printer.text(str(self))
+        return "\n".join([head, *aligned(rows)])
 
     @property
     def fingerprint(self) -> str:

@@ -15,6 +15,7 @@ from calib.measurement.frf import Quantity
 from calib.measurement.frf_units import GRAVITY, LENGTHS
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
+from calib.results.in_short import Short, marked, named
 
 Motion = Literal["displacement", "velocity", "acceleration"]
 UNITS: Mapping[Motion, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
@@ -38,7 +39,7 @@ HIT_SAMPLES_FEWEST = 64
 
 
 @dataclass(frozen=True, eq=False)
-class MeasuredRecord:
+class MeasuredRecord(Short):
     """Responses of a structure over time, under forces that were not measured or under those of a hammer.
 
     Attributes
@@ -73,6 +74,13 @@ class MeasuredRecord:
     misplaced: tuple[Misplaced, ...] = ()
     references: tuple[Sensor, ...] = ()
     forces: np.ndarray | None = None
+
+    def __str__(self) -> str:
+        """Length, rate and channels."""
+        motion = self.motion or "motion not stated"
+        head = f"{len(self.values) / self.rate:.4g} s at {self.rate:.6g} Hz, {motion}{marked(self.synthetic)}"
+        both = (("sensors", self.sensors), ("forces", self.references))
+        return "\n".join([head, *(f"{what}: {named([one.name for one in own])}" for what, own in both if own)])
 
     def __post_init__(self) -> None:
         place = self.source or "record"

@@ -18,10 +18,11 @@ from calib.measurement.files.csv_format import ONE, read_responses_csv
 from calib.measurement.modal import Sensor
 from calib.problem import degrees_of_freedom
 from calib.problem.degrees_of_freedom import dof_each, widened_by
+from calib.results.in_short import Short, aligned
 
 
 @dataclass(frozen=True)
-class MeasuredResponses:
+class MeasuredResponses(Short):
     """Scalar responses with the standard deviations of their means.
 
     Attributes
@@ -44,6 +45,14 @@ class MeasuredResponses:
     notes: tuple[str, ...] = ()
     shares: Mapping[str, float] = field(default_factory=dict)
     claimed: str = ""
+
+    def __str__(self) -> str:
+        """A short table: values with their standard deviations."""
+        rows = [("response", "value", "std")]
+        rows += [
+            (name, f"{value:.6g}", "" if std is None else f"{std:.2g}") for name, (value, std) in self.targets.items()
+        ]
+        return "\n".join([f"{len(self.targets)} responses", *aligned(rows)])
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

@@ -10,6 +10,7 @@ import pandas as pd
 
 from calib.measurement.files.csv_format import FINEST
 from calib.measurement.modal import MeasuredModes
+from calib.results.in_short import Short
 
 INSTEAD = 'fit the FRFs themselves: kind = "frf" in study.toml, or calib.FRFTest'
 """Remedy where modes do not describe the FRFs."""
@@ -18,7 +19,7 @@ AMBIENT = "measure longer, or give a band around the modes that are wanted"
 
 
 @dataclass(frozen=True, eq=False)
-class Identification:
+class Identification(Short):
     """Modes of a structure, identified from its FRFs.
 
     Attributes
@@ -54,6 +55,12 @@ class Identification:
     missed: tuple[float, ...]
     std_from: str
     of: str = "FRFs"
+
+    def __str__(self) -> str:
+        """Verdict, the modes, and what was refused."""
+        refused = [f"refused: {row['freq']:.4g} Hz, {row['refused']}" for row in self.fit.to_dict("records")
+                   if row["refused"]]  # fmt: skip
+        return "\n".join([self.verdict, str(self.modes), *refused])
 
     @property
     def verdict(self) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Protocol, TypeVar, runtime_checkable
+from typing import Protocol, TypeVar, runtime_checkable
 
 from calib.errors.arguments import objects
 from calib.errors.errors import InputError
@@ -12,6 +12,7 @@ from calib.errors.own_code import defined_at
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
+from calib.results.in_short import Short
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption
@@ -27,7 +28,7 @@ class Predicted(Protocol):
 
 
 @dataclass(frozen=True)
-class FunctionModel:
+class FunctionModel(Short):
     """Anything that maps named parameters to named responses.
 
     Attributes
@@ -74,10 +75,6 @@ class FunctionModel:
 
     def __str__(self) -> str:
         return f"{self.name}: a function of {len(self.space.parameters)} parameters"
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """As notebooks show it."""
-        printer.text(str(self))
 
     @property
     def reducible(self) -> None:

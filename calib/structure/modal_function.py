@@ -19,6 +19,7 @@ from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.differences import STEP
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
+from calib.results.in_short import Short
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.eigenproblem.mode_tracking import followed_derivatives
 from calib.structure.function_parts import ScaledPart, scaled_parts
@@ -65,7 +66,7 @@ class Memory:
 
 
 @dataclass(frozen=True)
-class ModalFunctionModel:
+class ModalFunctionModel(Short):
     """Anything that maps named parameters to modes at sensors: a script, an external solver, a closed form.
 
     It is compared, paired, calibrated and explained like a model of matrices. It lacks what needs matrices: strain
@@ -151,10 +152,6 @@ class ModalFunctionModel:
 
     def __str__(self) -> str:
         return f"{self.name}: a function of {len(self.space.parameters)} parameters that returns {self.n_modes} modes"
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """As notebooks show it."""
-        printer.text(str(self))
 
     @property
     def fingerprint(self) -> str:

@@ -14,6 +14,7 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS, Sensor
 from calib.problem.space import Parameter, ParameterSpace
+from calib.results.in_short import Short
 from calib.structure.affine import AffineMatrix, Monomial
 from calib.structure.dof_table import Dofs, DofTable, Layers, two_columns
 from calib.structure.eigenproblem.derivatives import Analytic
@@ -68,7 +69,7 @@ class Part:
 
 
 @dataclass(frozen=True)
-class StructuralModel(Analytic):
+class StructuralModel(Analytic, Short):
     """A finite-element model that is affine in functions of named parameters.
 
     Attributes
@@ -123,10 +124,6 @@ class StructuralModel(Analytic):
 
     def __str__(self) -> str:
         return f"{self.name}: matrices of {self.n_dof} degrees of freedom, {len(self.space.parameters)} parameters"
-
-    def _repr_pretty_(self, printer: Any, cycle: bool) -> None:
-        """As notebooks show it."""
-        printer.text(str(self))
 
     @staticmethod
     def from_matrices(

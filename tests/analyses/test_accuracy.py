@@ -45,7 +45,7 @@ def calibrated(study, tmp_path):
 def reported_noise(folder):
     """The frequency errors in the summary at the top of the page."""
     (words,) = [
-        number for what, number in page_summary(StudyResults(folder, "Mast", True)).facts if "frequency error" in what
+        number for what, number in page_summary(StudyResults(folder, "Mast", True)).facts if "frequencies" in what
     ]
     return words
 

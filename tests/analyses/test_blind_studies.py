@@ -75,7 +75,8 @@ def test_the_hidden_effect_is_named_and_no_other(explained):
     assert effects.index[0] == name and summary["chosen"] == [name]
     assert effects.loc[name, "model_probability"] > 0.95 and effects["credible"].sum() == 1
     assert effects.drop(name)["ln_bayes"].max() < effects.loc[name, "ln_bayes"] - 3
-    assert name in summary["sentences"][1] and summary["sentences"][0] == summary["sentence"].split(". ")[0] + "."
+    assert name.replace("_", " ") in summary["sentences"][1]
+    assert summary["sentences"][0] == summary["sentence"].split(". ")[0] + "."
 
 
 def test_the_interval_of_the_magnitude_covers_the_truth(explained):
@@ -134,8 +135,9 @@ def test_the_sentence_agrees_with_the_tables(explained, name):
     for effect, row in effects[~effects["visible"]].iterrows():
         unit = "" if row["unit"] == "-" else f" {row['unit']}"
         hopeless = row["magnitude_min"] > row["largest"]
+        words = effect.replace("_", " ")
         assert (
-            f"{effect} of any possible" if hopeless else f"{effect} below {rounded(row['magnitude_min'])}{unit}"
+            f"{words} of any possible" if hopeless else f"{words} below {rounded(row['magnitude_min'])}{unit}"
         ) in text
     if summary["chosen"] and summary["verdict"] == "effect":
         row = effects.loc[summary["chosen"][0]]

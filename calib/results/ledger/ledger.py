@@ -20,7 +20,6 @@ import pandas as pd
 
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Individual, Outcome, point_key
-from calib.results.ledger.conversion import convert
 from calib.results.ledger.database import Database, connected, marks
 from calib.results.ledger.history import History
 from calib.results.ledger.rows import (
@@ -347,4 +346,6 @@ def _prepare(database: Database) -> None:
         if not version:
             create(database)
         elif version != VERSION:
+            from calib.results.ledger.conversion import convert
+
             convert(database, version)
