@@ -81,6 +81,8 @@ def _correlated(
 ) -> ParameterSpace:
     """The space with correlated priors; one that this model lacks stays in the matrix of the others."""
     names, matrix = settings.prior_correlation.parameters, settings.prior_correlation.matrix
+    if not names and not matrix:
+        return space
     where = place("prior_correlation", *(["matrix"] if matrix else [])).of("[prior_correlation]")
     try:
         for name, own in correlations(names, matrix).items():

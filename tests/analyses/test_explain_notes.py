@@ -112,8 +112,8 @@ def test_points_that_failed_are_noted(refusing):
 def test_an_effect_that_can_never_be_evaluated_is_reported_as_not_tested(refusing):
     study, results = refusing("bracket_mass_1", 0.0)
     answer = explain(study, results)
-    assert "Not tested, since the model fails with it: bracket_mass_1." in answer.sentence
-    assert "bracket_mass_1 of any" not in answer.sentence
+    assert "Not tested, since the model fails with it: bracket mass 1." in answer.sentence
+    assert "bracket mass 1 of any" not in answer.sentence
     content = json.loads((results.path / "explanation.json").read_text())
     (row,) = [e for e in content["effects"] if e["name"] == "bracket_mass_1"]
     assert row["magnitude_min"] is None and content["credible_set"] == ["hung_mass_5"]
