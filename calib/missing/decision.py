@@ -328,6 +328,7 @@ class _Decision:
         done = replace(
             found, candidate_fits=tuple(candidate_fits), verdict=verdict, chosen=chosen, chosen_adequacy=adequacy,
             credible=credible, fault=fault, datum=datum, evaluations=self.fits.hypotheses.evaluations,
+            odds_against_datum=chosen.ln_evidence - ln_of(found.datum) if found.datum is not None else math.nan,
         )  # fmt: skip
         if done.names_something:
             singles = [t for t in done.singles if verdict in SEVERAL and t.names[0] in chosen.names]

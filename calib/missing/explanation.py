@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
 
 import pandas as pd
@@ -81,6 +82,8 @@ class Explanation:
     minor : tuple of str
         Further effects that would leave nothing over beside the chosen one, too small to be named; see
         `calib.missing.partial.minor_beside`.
+    odds_against_datum : float
+        Log odds of what is named against the wrong datum that was fitted; NaN where none was.
     steps : StepwiseSearch or None
         The stepwise search for several effects; None where one was enough or where none had strong evidence.
     """
@@ -110,6 +113,7 @@ class Explanation:
     granted: tuple[Candidate, ...] = ()
     mistakable: tuple[tuple[str, str], ...] = ()
     minor: tuple[str, ...] = ()
+    odds_against_datum: float = math.nan
 
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""

@@ -56,7 +56,7 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
     if found.verdict == "effect" and len(suspects):
         check = "Measure it again with another excitation, and compare its repeats."
         yield Reservation(
-            suspect_sentence(suspects, found.chosen.names[0]),
+            suspect_sentence(suspects, found.chosen.names[0], found.odds_against_datum),
             "Check its mounting, cable and direction." if suspects["kind"].iloc[0] == "sensor" else check,
         )
     fits = found.chosen_adequacy
@@ -64,8 +64,8 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         worst = fits.modes.sort_values("p", kind="stable").iloc[0]
         what = f"{'frequency' if worst['kind'] == 'freq' else worst['kind']} of {worst['mode'] or 'the responses'}"
         yield Reservation(
-            f"The data fit, but only just (p = {fits.p_fit:.2g}; {found.alpha:g} or less is rejected); the {what} fits "
-            "worst.",
+            f"The data fit as a whole, but one group of them only just (p = {fits.p_fit:.2g}; {found.alpha:g} or less "
+            f"is rejected); the {what} fits worst.",
             f"Look at the {what} in the measurement, and measure it again.",
         )
     if limited := limits_sentence(found):

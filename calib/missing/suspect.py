@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import NamedTuple, Protocol
 
@@ -22,6 +23,8 @@ from calib.problem.degrees_of_freedom import hat_root, p_value
 from calib.problem.labels import Label, Labelled, RowLabels
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
+ESTIMATED = "estimated without fitting again"
+"""How the p-value of a fit without a datum is known, in words."""
 _SINGULAR = 1e-9
 """Smallest part of the variance of a combination of values left by the parameters; below it, prediction is rounding."""
 _AT_ONCE = 256
@@ -161,28 +164,34 @@ def suspects_table(
     return table.iloc[order].reset_index(drop=True)
 
 
-def suspect_in_short(table: pd.DataFrame, named: str) -> str:
+def suspect_in_short(table: pd.DataFrame, named: str, ln_odds: float = math.nan) -> str:
     """The datum without which everything fits and the effect that is named all the same, for the summary.
 
-    Empty where no datum alone explains the misfit.
+    Empty where no datum alone explains the misfit; the odds are those of `suspect_sentence`.
     """
     explaining = table[table["explains"].astype(bool)]
     if explaining.empty:
         return ""
-    return f"{_beside(explaining['what'].iloc[0], named)}: check that measurement."
+    what = explaining["what"].iloc[0]
+    return f"{_beside(what, named, ln_odds)} Check {what} to be sure."
 
 
-def _beside(what: str, named: str, p: str = "") -> str:
-    return (
-        f"With {what} left out the model would fit as it is{p}, but {named} explains the misfit better, by odds of "
-        f"more than {as_ratio(RULES.credible)}"
-    )
+def _beside(what: str, named: str, ln_odds: float, p: str = "") -> str:
+    odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
+    return f"A wrong measurement of {what} would explain the misfit too{p}, but the odds are {odds} for {named}."
 
 
-def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
+def suspect_sentence(table: pd.DataFrame, named: str = "", ln_odds: float = math.nan) -> str:
     """The datum without which everything fits, in words; empty where none alone explains the misfit.
 
-    ``named`` is an effect that is named all the same: no wrong datum explains about as well as it does.
+    Parameters
+    ----------
+    table : DataFrame
+        From `suspects_table`.
+    named : str
+        An effect that is named all the same: no wrong datum explains about as well as it does.
+    ln_odds : float
+        Log odds of that effect against a wrong datum; NaN where only the least that names it is known.
     """
     explaining = table[table["explains"].astype(bool)]
     if explaining.empty:
@@ -190,11 +199,11 @@ def suspect_sentence(table: pd.DataFrame, named: str = "") -> str:
     first, more = explaining.iloc[0], explaining["what"].tolist()[1:4]
     others = f"; so it does without {' or without '.join(more)}" if more else ""
     if named:
-        p = f" (p = {first['p_fit_without']:.2g}, to first order)"
-        return f"{_beside(first['what'], named, p)}."
+        p = f" (without it p = {first['p_fit_without']:.2g}, {ESTIMATED})"
+        return _beside(first["what"], named, ln_odds, p)
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
-        f"{first['p_fit_without']:.2g}, to first order; the chance of such a value in a correct model is "
+        f"{first['p_fit_without']:.2g}, {ESTIMATED}; the chance of such a value in a correct model is "
         f"{first['p']:.1g}, over all that were left out in turn){others}. Check it before the model."
     )
 

@@ -127,7 +127,8 @@ def _of_mode(found: Excitation) -> dict[str, object]:
     """Where and with what a mode is excited, its band and the resolution that its damping asks for."""
     at = f"({', '.join(f'{c:.2f}' for c in found.at)}) m"
     damping = found.damping if np.isfinite(found.damping) else 0.0
-    by = "a shaker and a slow sweep (an impact dies out too soon)" if damping > _HAMMER else _IMPACT
+    fading = f"a shaker and a slow sweep (an impact dies out too soon at {100 * damping:.2g} % damping)"
+    by = fading if damping > _HAMMER else _IMPACT
     hung = in_prose(found.hung)
     place = f"on the {hung} itself, which hangs at {at}," if hung else f"at {at}"
     half = found.freq * max(_BAND[0], _BAND[1] * damping)
@@ -173,6 +174,7 @@ def _narrowing(
 def _how(row: Mapping[str, Any]) -> str:
     """Band, resolution and repeats of a step in words."""
     low, high, resolution = (float(row[name]) for name in ("freq_low", "freq_high", "resolution"))
-    band = f"band {low:.3g} to {high:.3g} Hz" if math.isfinite(low) and math.isfinite(high) else ""
+    fitted = " (the data that the fit uses)" if row["kind"] != "mode" else ""
+    band = f"band {low:.3g} to {high:.3g} Hz{fitted}" if math.isfinite(low) and math.isfinite(high) else ""
     lines = f"resolution {resolution:g} Hz or finer" if math.isfinite(resolution) else ""
     return ", ".join(filter(None, (band, lines, f"{row['repeats']:.0f} repeats")))

@@ -12,7 +12,7 @@ from calib.missing.data_words import contradicted_words, error_words, unseen_wor
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.goodness import worst_repeats
 from calib.missing.recommendation import Recommendation
-from calib.missing.suspect import suspect_in_short, suspect_sentence
+from calib.missing.suspect import ESTIMATED, suspect_in_short, suspect_sentence
 from calib.missing.verdict_words import VerdictWords, beside_faults, check_faults, misfit_in_short
 from calib.missing.words_by_verdict import WORDS
 from calib.results.answer import Answer
@@ -68,7 +68,7 @@ def _without_doubtful(found: Explanation, doubts: Doubts) -> VerdictWords | None
         return None
     first = causes.iloc[0]
     return VerdictWords(
-        f"Without {first['what']} the model fits (p = {first['p_fit_without']:.2g}, to first order): nothing else is "
+        f"Without {first['what']} the model fits (p = {first['p_fit_without']:.2g}, {ESTIMATED}): nothing else is "
         "seen to be missing.",
         misfit_in_short(found),
         "Leave it out, and ask again.",
@@ -135,8 +135,9 @@ def verdict_of(
     if found.names_something or found.verdict in ("partial", "unconfirmed"):
         sure.append(_OUTSIDE)
     if found.verdict == "effect" and found.chosen is not None:
-        sure.append(suspect_in_short(found.suspects, found.chosen.names[0]))
-        support.insert(0, suspect_sentence(found.suspects, found.chosen.names[0]))
+        named, odds = found.chosen.names[0], found.odds_against_datum
+        sure.append(suspect_in_short(found.suspects, named, odds))
+        support.insert(0, suspect_sentence(found.suspects, named, odds))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     sure += supposed

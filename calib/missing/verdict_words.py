@@ -28,6 +28,8 @@ _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 _REQUESTS = ("Look", "Check", "Measure")
 """First words of a text to look for that is a request already."""
 CANNOT_TELL = "Model or measurement is wrong, and these data cannot tell which"
+_KINDS = {"frequency": "frequencies", "shape": "mode shapes"}
+"""Kinds of data in words, where these differ from the names in tables."""
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
 
@@ -76,25 +78,31 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
 
 def misfit_words(found: Explanation) -> str:
     """How improbable the misfit of the base model would be if nothing were missing."""
-    return f"{_chance_if_nothing(found)}: {family(found)}."
+    return f"Chance of such a misfit by noise alone, {_if_nothing(found)}: {family(found)}."
 
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary."""
-    return f"{_chance_if_nothing(found)}: {family_in_short(found)}."
+    chance = "Two tests give the chance of such a misfit by noise alone"
+    return f"{chance}, {_if_nothing(found)}: {family_in_short(found)}."
 
 
-def _chance_if_nothing(found: Explanation) -> str:
-    case = "only the measurement were wrong so" if found.granted else "nothing were missing"
-    return f"Chance of such a misfit if {case}"
+def _if_nothing(found: Explanation) -> str:
+    return f"if {'only the measurement were wrong so' if found.granted else 'nothing were missing'}"
 
 
 def family_in_short(found: Explanation) -> str:
     """The tests of the base model, without what was tested."""
     adequacy = found.base_adequacy
     tested = sum(_counts(found)) + (0 if adequacy.pairs is None else adequacy.pairs.number)
-    clearest = f"{p_words(adequacy.p_family)} for the clearest of {tested} changes tried"
-    return f"{clearest}, {p_words(adequacy.p_fit)} for {WORST}"
+    tried = names_in_words([
+        *(["listed causes"] if found.groups else []), "stiffness or mass at single places",
+        *([] if adequacy.faults is None else ["measurement errors"]),
+    ])  # fmt: skip
+    kinds = ", ".join(_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"])
+    groups = f" ({kinds})" if len(adequacy.kinds) > 1 else ""
+    helps = f"{p_words(adequacy.p_family)} for how much the best of {tested} changes tried helps ({tried})"
+    return f"{helps}, {p_words(adequacy.p_fit)} for how badly the worst group of data fits{groups}"
 
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
@@ -112,7 +120,7 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
     fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
     return (
         f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
-        f"({p_words(adequacy.p_fit)}; rejected at {alpha:g} or less)."
+        f"({p_words(adequacy.p_fit)} for the worst group of them; rejected at {alpha:g} or less)."
     )
 
 
@@ -256,7 +264,7 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
-    return f"The list of causes gives the place; the data alone point to {best}, {away[best]:.2g} m from it."
+    return f"The list of causes states that place; without it the data fit best with {best}, {away[best]:.2g} m away."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

@@ -88,10 +88,10 @@ def _effect(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     tested = sum(len(g.names) for g in found.groups)
     chance = 100 * float(row_of(effects, e.name)["model_probability"])
     probable = f"{chance:.0f} % probable" if chance <= MOST else f"more than {MOST:g} % probable"
-    among = f" among the {tested} causes tested" if tested > 1 else " among those listed"
+    among = f"Among the {tested} causes tested" if tested > 1 else "Among those listed"
     return VerdictWords(
         f"The model lacks {effect_words(effects, e)}.",
-        f"It is {probable}{among}. {misfit_in_short(found)} {with_in_short(found)}",
+        f"{among} it is {probable}. {misfit_in_short(found)} {with_in_short(found)}",
         look_for((e,)),
         (
             misfit_words(found),

@@ -58,6 +58,8 @@ class AnsweredPlace:
     alone_at : ndarray (3,)
     away : float
         Its distance from where the effects act, m; NaN where either is unknown, and for a change of a whole part.
+    alone_sensor : str
+        Sensor of that change; empty for a change of a whole part.
     """
 
     acts: np.ndarray
@@ -66,6 +68,7 @@ class AnsweredPlace:
     alone: str
     alone_at: np.ndarray
     away: float
+    alone_sensor: str = ""
 
     def marks(self, what: str) -> dict[str, str]:
         """What each mark of the picture stands for, by ``star``, ``diamond`` and ``ring``; ``what`` for the effects."""
@@ -74,9 +77,10 @@ class AnsweredPlace:
             out["star"] = f"{what},\n{places(self.acts.tolist(), _PLACES)} m by the list of causes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m away"
-            out["diamond"] = f"the data alone point to {self.alone}{away}"
+            without = "without the list of causes the data fit best with" if len(self.acts) else "the data point to"
+            out["diamond"] = f"{without}\n{self.alone}{away}"
         if self.sensor:
-            out["ring"] = f"sensor {self.sensor} shows it most"
+            out["ring"] = f"sensor {self.sensor}, where the mode shapes show it most, near or far"
         return out
 
 
@@ -104,7 +108,7 @@ def answered_place(
     own: np.ndarray = np.zeros((0, 3))
     if acts is not None:
         own = acts.loc[acts["effect"].isin(names), scene.PLACE].to_numpy(dtype=float)
-    sensor, sensor_at, alone, alone_at, away = "", nowhere, "", nowhere, math.nan
+    sensor, sensor_at, alone, alone_at, away, alone_sensor = "", nowhere, "", nowhere, math.nan, ""
     if sensors is not None and pattern is not None:
         placed = sensors.dropna(subset=scene.PLACE).set_index("sensor")
         size = (pattern["signature"] ** 2).groupby(pattern["sensor"].fillna("")).sum()
@@ -116,12 +120,12 @@ def answered_place(
         best = perturbations.iloc[int(np.nanargmax(perturbations["score"].abs().to_numpy(dtype=float)))]
         at = best[scene.PLACE].to_numpy(dtype=float)
         if abs(best["score"]) > best["limit"] and np.isfinite(at).all():
-            alone, alone_at = str(best["perturbation"]), at
+            alone, alone_at, alone_sensor = str(best["perturbation"]), at, str(best["sensor"] or "")
             if best["sensor"] and len(own):
                 away = float(np.linalg.norm(own - at, axis=1).min())
     if not len(own) and not alone:
         return None
-    return AnsweredPlace(own, sensor, sensor_at, alone, alone_at, away)
+    return AnsweredPlace(own, sensor, sensor_at, alone, alone_at, away, alone_sensor)
 
 
 def most_telling_error(errors: pd.DataFrame | None) -> pd.DataFrame | None:
@@ -169,7 +173,7 @@ def answer_figure(
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
     marks = found.marks(f"{what}, {size}" if size else what)
-    foot = 0.75 + 0.19 * sum(1 + text.count("\n") for text in marks.values())
+    foot = 0.5 + 0.2 * sum(1 + text.count("\n") for text in marks.values())
     height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
     figure = scene.new_scene(height, foot)
     panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
@@ -185,16 +189,17 @@ def answer_figure(
         _mark(ax, found.alone_at[None], "alone", {**_DATA_ALONE, "markeredgewidth": 1.6}, 5)
     if len(found.acts):
         _mark(ax, found.acts, "acts", _STAR, 6)
-    known = np.concatenate([points, *(at[None] for at in (found.sensor_at, found.alone_at) if np.isfinite(at).all())])
+    named = [(found.sensor, found.sensor_at), (found.alone_sensor, found.alone_at)]
+    named = [(name, at) for name, at in dict(named).items() if name]
+    known = np.concatenate([points, *(at[None] for _, at in named), *([found.alone_at[None]] if found.alone else [])])
     scene.frame_panel(ax, np.concatenate([known, found.acts]), "")
-    if found.sensor:
-        scene.number_points(ax, known, {len(points): found.sensor})
+    scene.number_points(ax, known, {len(points) + k: name for k, (name, _) in enumerate(named)})
     handles = [Line2D([], [], linestyle="none", label=text, **_LOOKS[mark]) for mark, text in marks.items()]
     for handle in handles:
         handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))
     handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
     figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.85 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.35
+        handles=handles, loc="lower left", bbox_to_anchor=(0.85 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.7
     )
     scene.show_axes(figure)
     if bars is not None:

@@ -35,7 +35,8 @@ _MIDDLE: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, 0.0))
 _UNIT: Place = ("crossbar", (CROSSBAR_X, GIRDER_Y, BRAKE_UNIT_Z))
 _UNIT_FREQ = Parameter(
     "brake_unit_freq", 18.0, 8.0, 40.0, "Hz", prior_sd=7.0,
-    description="natural frequency of the unit on its bushes; 8 Hz where they deflect by 4 mm under its weight",
+    description="natural frequency of the unit alone, its bushes on a base that does not move",
+    assumed="limits: at 8 Hz the bushes deflect by 4 mm under its weight",
 )  # fmt: skip
 _REASON = "where such parts usually sit"
 
@@ -82,7 +83,8 @@ def frame_effects() -> tuple[Effect, ...]:
             title="Brake unit hung elastically on the front crossbar",
             phrase="a brake unit hung elastically on the front crossbar",
             lacks="Everything on the crossbars moves rigidly with them.",
-            look_for="A brake unit on rubber bushes at the left of the front crossbar: push it and see if it swings.",
+            look_for="A brake unit on rubber bushes at the left of the front crossbar: an accelerometer on it "
+            "shows its own frequency when it is tapped.",
             magnitude=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),
             build=_brake_unit,
             nuisance=(_UNIT_FREQ,),

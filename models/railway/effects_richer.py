@@ -74,7 +74,8 @@ def brake_unit_on_mounts(place: Place, freq: Parameter, damping_ratio: float) ->
         title="Brake unit that gives in three directions on the front crossbar",
         phrase="a brake unit that gives in three directions on its mounts on the front crossbar",
         lacks="Everything on the crossbars moves rigidly with them.",
-        look_for="A brake unit on rubber mounts at the left of the front crossbar: push it along and across.",
+        look_for="A brake unit on rubber mounts at the left of the front crossbar: tap it along and across, with an "
+        "accelerometer on it.",
         magnitude=_mass(mounts, 0.1, 500.0, 80.0, "mass of the unit"),
         build=partial(_on_mounts, place, mounts, freq.name),
         nuisance=shared,

@@ -153,32 +153,32 @@ RIG: tuple[Parameter, ...] = (
     ),
     Parameter(
         "K_contact", 25_250.0, 500.0, 50_000.0, "kN/m",
-        description="contact between elastic and distribution block, x and z", symbol="Kbtl", source=_TABLE_5,
+        description="contact of an elastic block with the wooden block on it, x and z", symbol="Kbtl", source=_TABLE_5,
         assumed="nominal value (printed mean taken)",
     ),
     Parameter(
         "pos_long_left", 5.0, 2.0, 8.0, integer=True,
-        description="longitudinal position of the left actuator by its number", symbol="Pos_le", source=_TABLE_5,
+        description="longitudinal place of the left actuator, in steps of 0.07 m", symbol="Pos_le", source=_TABLE_5,
         assumed="spacing of the positions 0.07 m",
     ),
     Parameter(
         "pos_long_right", 5.0, 2.0, 8.0, integer=True,
-        description="longitudinal position of the right actuator by its number", symbol="Pos_ld", source=_TABLE_5,
+        description="longitudinal place of the right actuator, in steps of 0.07 m", symbol="Pos_ld", source=_TABLE_5,
         assumed="spacing of the positions 0.07 m",
     ),
     Parameter(
         "pos_lat_left", 0.0, -1.0, 1.0, integer=True,
-        description="transverse position of the left actuator by its number", symbol="Pos_te", source=_TABLE_5,
+        description="transverse place of the left actuator, in steps of 0.03 m", symbol="Pos_te", source=_TABLE_5,
         assumed="spacing of the positions 0.03 m",
     ),
     Parameter(
         "pos_lat_right", 0.0, -1.0, 1.0, integer=True,
-        description="transverse position of the right actuator by its number", symbol="Pos_td", source=_TABLE_5,
+        description="transverse place of the right actuator, in steps of 0.03 m", symbol="Pos_td", source=_TABLE_5,
         assumed="spacing of the positions 0.03 m",
     ),
     Parameter(
         "E_wood", 10.0, 4.0, 12.0, "GPa",
-        description="Young's modulus of the wooden distribution blocks", symbol="Em", source=_TABLE_5,
+        description="Young's modulus of the wooden blocks under the actuators", symbol="Em", source=_TABLE_5,
     ),
 )  # fmt: skip
 """Table 5."""

@@ -1,5 +1,6 @@
 """Single bad data: against fits without them, error rates, and cases with two or none."""
 
+import math
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 
@@ -53,9 +54,10 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     assert set(explaining["what"]) <= {"frequency of M2", "mode M2"}  # the mode contains the value
     assert "frequency of M2" in suspect_sentence(table) and "before the model" in suspect_sentence(table)
     beside = suspect_sentence(table, "E1")  # an effect that is named all the same explains it better
-    assert "frequency of M2" in beside and "E1 explains the misfit better" in beside and "20:1" in beside
-    better = "E1 explains the misfit better, by odds of more than 20:1: check that measurement."
-    assert suspect_in_short(table, "E1") == f"With frequency of M2 left out the model would fit as it is, but {better}"
+    assert "frequency of M2" in beside and "the odds are more than 20:1 for E1" in beside
+    assert "the odds are 150:1 for E1" in suspect_sentence(table, "E1", math.log(150.0))
+    capped = suspect_in_short(table, "E1", 100.0)
+    assert capped.endswith("the odds are over 10,000:1 for E1. Check frequency of M2 to be sure.")
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):

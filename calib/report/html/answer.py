@@ -15,7 +15,7 @@ from calib.report.explanation_plan import read_place
 from calib.report.html.cells import flagged
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import StudyResults
-from calib.report.numbers import fixed, magnitude_in_words, significant, with_unit
+from calib.report.numbers import fixed, flag, magnitude_in_words, significant, with_unit
 from calib.results.answer import in_prose
 
 _NAMED = ("effect", "indistinguishable", "two_effects", "several_effects")
@@ -64,14 +64,20 @@ class Afterwards:
     Attributes
     ----------
     table : DataFrame
-        Columns ``parameter, unit, nominal, before, before_std, value, std, identified, meaning``; without
-        the magnitudes that `magnitudes` has.
+        Columns ``parameter, unit, nominal, before, before_std, value, std, identified, meaning``; of the
+        magnitudes that `magnitudes` has, the value that stands there.
     effects : str
         What the last model has and the first has not; empty where there is one model only.
+    misfit : bool
+        Whether the first model does not fit, so that none of its parameters is identified.
+    whole : bool
+        Whether a parameter is a whole number.
     """
 
     table: pd.DataFrame
     effects: str
+    misfit: bool
+    whole: bool
 
 
 def parameters_afterwards(results: StudyResults) -> Afterwards | None:
@@ -90,10 +96,14 @@ def parameters_afterwards(results: StudyResults) -> Afterwards | None:
     meaning = [str(known.get(name, {}).get("description", of_effects.get(name, ""))) for name in table["parameter"]]
     own = {str(effect["name"]) for effect in results.added.get("effects", [])} | set(effects_in_model(results))
     nominal = table["nominal"].where(~table["parameter"].isin(own))  # that of a magnitude is none
-    known_above = magnitudes(results)
-    told = () if known_above is None else known_above["name"].tolist()
-    table = table.assign(meaning=meaning, nominal=nominal)[~table["parameter"].isin(told)]
-    return Afterwards(table.reset_index(drop=True), results.added_effects)
+    above = magnitudes(results)
+    told = {} if above is None or added is None else dict(zip(above["name"], above["magnitude"], strict=True))
+    values = [told.get(name, value) for name, value in zip(table["parameter"], table["value"], strict=True)]
+    table = table.assign(meaning=meaning, nominal=nominal, value=values)
+    first = results.table("verdicts")
+    misfit = first is not None and first["not_identified"].fillna("").str.contains("misfit").any()
+    whole = any(flag(row.get("integer", False)) for row in known.values())
+    return Afterwards(table.reset_index(drop=True), results.added_effects, bool(misfit), whole)
 
 
 def effects_in_model(results: StudyResults) -> list[str]:
@@ -143,8 +153,9 @@ def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
     freq, name = float(own["natural_freq"]), in_prose(str(own["effect"]))
     low, high = (with_unit(freq * (1 + side * _NEAR), "Hz", 3) for side in (-1, 1))
     return (
-        f"{name[:1].upper()}{name[1:]} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with "
-        f"({fixed(100 * float(own['share']), 0)} % of its kinetic energy is in what is added).",
+        f"{name[:1].upper()}{name[1:]} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with. "
+        f"What is added has {fixed(100 * float(own['share']), 0)} % of its kinetic energy; the rest of the model moves "
+        "too, which shifts the mode from the natural frequency of that part alone.",
         f"Look for a peak between {low} and {high} in the FRFs at the place, or excite there and measure it.",
     )
 
