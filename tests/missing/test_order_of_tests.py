@@ -75,6 +75,11 @@ def test_repeats_are_doubled_and_need_at_least_three():
     assert order_of(table, design(measurements=(TWICE,)), ["E0"], {})["repeats"].tolist() == [3]
 
 
+def test_the_band_of_the_same_test_is_said_to_be_that_of_the_fit():
+    steps = ordered(of(2.0)).set_index("kind")["how"]
+    assert "the fit uses" in steps["repeats"] and "the fit uses" not in steps["mode"]
+
+
 @pytest.mark.parametrize(("damping", "band", "lines", "by"), [
     (0.02, (8.0, 12.0), 0.08, "hammer"), (0.2, (4.0, 16.0), 0.8, "slow sweep"), (0.0, (8.0, 12.0), 0.01, "hammer"),
 ])  # fmt: skip
@@ -83,7 +88,7 @@ def test_a_mode_is_excited_where_it_moves_in_a_band_and_with_lines_that_its_damp
     (r,) = ordered({MODE.name: 2.0}, (mode,)).to_dict("records")
     assert "(1.00, 2.00, 3.00) m along y" in r["excite"] and by in r["excite"]
     assert (r["freq_low"], r["freq_high"]) == pytest.approx(band) and r["resolution"] == pytest.approx(lines)
-    assert f"resolution {lines:g} Hz" in r["how"]
+    assert f"resolution {lines:g} Hz" in r["how"] and (f"{100 * damping:.0f} % damping" in r["excite"]) == (damping > 0.1)
 
 
 def test_what_hangs_on_the_structure_gets_an_accelerometer_of_its_own():

@@ -88,6 +88,8 @@ def test_an_effect_on_one_datum_is_indistinguishable_from_a_wrong_datum(toy):
     found = beside(toy(), 0.0).explained({"E2": 1.5}, 10)
     assert Counter(f.verdict for f in found)["effect"] == 0
     assert sum(f.verdict == "indistinguishable" and f.credible == ("E2",) for f in found) >= 8
+    for f in (f for f in found if f.datum is not None):
+        assert f.odds_against_datum == pytest.approx(f.chosen.ln_evidence - f.datum.ln_evidence)
 
 
 @pytest.mark.slow
