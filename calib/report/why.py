@@ -62,7 +62,7 @@ def explained_words(table: pd.DataFrame, by_test: pd.DataFrame | None = None) ->
     of_fit = [] if by_test is None else by_test[by_test["effects"] == together].to_dict("records")
     if not of_fit:
         part = percent(share(table), 0)
-        return f"To first order {in_prose(together)} {verb} {part} % of the sum of squares of data and priors"
+        return f"By linear estimate {in_prose(together)} {verb} {part} % of the sum of squares of data and priors"
     (row,) = of_fit
     way = "falls" if row["after"] <= row["before"] else "rises"
     change = f"{way} from {significant(row['before'], 3)} to {significant(row['after'], 3)}"
