@@ -66,6 +66,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     told = json.loads((folder / "record.json").read_text("utf-8"))["analyses"]["explain"]["answer"]
     yield "README.md", told["found"]
     yield "README.md", told["then"]
+    yield "README.md", told["sure"][told["sure"].index("A cause that is not listed") :]
     yield "README.md", f"hidden brake unit of {hidden:.1f} kg"
     least = float(f"{unit['magnitude_min']:.2g}")
     yield "README.md", f"{size:.0f} kg here is {unit['z']:.0f}; {least:g} kg is the smallest that shows"
