@@ -173,12 +173,16 @@ def suspect_in_short(table: pd.DataFrame, named: str, ln_odds: float = math.nan)
     if explaining.empty:
         return ""
     what = explaining["what"].iloc[0]
-    return f"{_beside(what, named, ln_odds)} Check {what} to be sure."
+    return f"{_beside(what, named, ln_odds)} Check {_the(what)} to be sure."
 
 
 def _beside(what: str, named: str, ln_odds: float, p: str = "") -> str:
     odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
-    return f"A wrong measurement of {what} would explain the misfit too{p}, but the odds are {odds} for {named}."
+    return f"A wrong measurement of {_the(what)} would explain the misfit too{p}, but the odds are {odds} for {named}."
+
+
+def _the(what: str) -> str:
+    return f"the {what}" if " of " in what else what
 
 
 def suspect_sentence(table: pd.DataFrame, named: str = "", ln_odds: float = math.nan) -> str:

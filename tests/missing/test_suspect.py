@@ -57,7 +57,7 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     assert "frequency of M2" in beside and "the odds are more than 20:1 for E1" in beside
     assert "the odds are 150:1 for E1" in suspect_sentence(table, "E1", math.log(150.0))
     capped = suspect_in_short(table, "E1", 100.0)
-    assert capped.endswith("the odds are over 10,000:1 for E1. Check frequency of M2 to be sure.")
+    assert capped.endswith("the odds are over 10,000:1 for E1. Check the frequency of M2 to be sure.")
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):
