@@ -173,7 +173,7 @@ def answer_figure(
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
     marks = found.marks(f"{what}, {size}" if size else what)
-    foot = 0.5 + 0.2 * sum(1 + text.count("\n") for text in marks.values())
+    foot = max(0.15 + 0.2 * sum(1 + text.count("\n") for text in marks.values()), 0.8)
     height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
     figure = scene.new_scene(height, foot)
     panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
@@ -191,8 +191,9 @@ def answer_figure(
         _mark(ax, found.acts, "acts", _STAR, 6)
     named = [(found.sensor, found.sensor_at), (found.alone_sensor, found.alone_at)]
     named = [(name, at) for name, at in dict(named).items() if name]
-    known = np.concatenate([points, *(at[None] for _, at in named), *([found.alone_at[None]] if found.alone else [])])
-    scene.frame_panel(ax, np.concatenate([known, found.acts]), "")
+    alone = [found.alone_at[None]] if found.alone else []
+    known = np.concatenate([points, *(at[None] for _, at in named), *alone, found.acts])
+    scene.frame_panel(ax, known, "")
     scene.number_points(ax, known, {len(points) + k: name for k, (name, _) in enumerate(named)})
     handles = [Line2D([], [], linestyle="none", label=text, **_LOOKS[mark]) for mark, text in marks.items()]
     for handle in handles:

@@ -100,10 +100,10 @@ def parameters_afterwards(results: StudyResults) -> Afterwards | None:
     told = {} if above is None or added is None else dict(zip(above["name"], above["magnitude"], strict=True))
     values = [told.get(name, value) for name, value in zip(table["parameter"], table["value"], strict=True)]
     table = table.assign(meaning=meaning, nominal=nominal, value=values)
-    first = results.table("verdicts")
-    misfit = first is not None and first["not_identified"].fillna("").str.contains("misfit").any()
+    first = table["identified" if added is None else "before_identified"].dropna()
+    misfit = float(results.summary.get("birge") or 1.0) > 1.0 and not any(map(flag, first))
     whole = any(flag(row.get("integer", False)) for row in known.values())
-    return Afterwards(table.reset_index(drop=True), results.added_effects, bool(misfit), whole)
+    return Afterwards(table.reset_index(drop=True), results.added_effects, misfit, whole)
 
 
 def effects_in_model(results: StudyResults) -> list[str]:
