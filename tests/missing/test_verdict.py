@@ -95,12 +95,11 @@ def test_the_warning_about_the_library_follows_a_named_effect(cases, verdict):
 def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     found = cases["effect"]
     table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
-    asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1))
-    words = suspect_sentence(asked.suspects, "E2")
-    assert (
-        "With frequency of M2 left out" in words and words in text_of(asked) and "frequency of M2" not in text_of(found)
-    )
-    assert suspect_in_short(asked.suspects, "E2") in text_of(asked)
+    asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1), odds_against_datum=5.0)
+    words = suspect_sentence(asked.suspects, "E2", 5.0)
+    assert "wrong measurement of the frequency of M2" in words and "150:1" in words
+    assert words in text_of(asked) and "frequency of M2" not in text_of(found)
+    assert suspect_in_short(asked.suspects, "E2", 5.0) in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 
 

@@ -64,8 +64,11 @@ def test_a_poor_fit_of_a_named_effect_is_stated(cases):
     text, family = text_of(poor), f"p = {found.chosen_adequacy.p_family:.2g}"
     assert f"{WORST} has p = 0.004, which is poor" in text
     short = "With it no further effect or place stands out"
-    assert f"{short} ({family}), but the fit is poor (p = 0.004; rejected at 0.01 or less)." in text
-    good = f"(p = {found.chosen_adequacy.p_fit:.2g}; rejected at 0.01 or less)"
+    assert (
+        f"{short} ({family}), but the fit is poor (p = 0.004 for the worst group of them; rejected at 0.01 or less)."
+        in text
+    )
+    good = f"(p = {found.chosen_adequacy.p_fit:.2g} for the worst group of them; rejected at 0.01 or less)"
     assert f"{short} ({family}), and the data fit {good}." in text_of(found)
 
 

@@ -41,7 +41,7 @@ _FIGURES = {
     for name in (
         *("misfit", "search_misfit", "mean_freq_error_before", "mean_freq_error_after", "mean_mac_before"),
         *("mean_mac_after", "noise_freq_error", "noise_mac", "seconds", "evaluations", "solved", "infeasible"),
-        "failed",
+        *("failed", "birge"),
     )
 }
 SUMMARY = {"best_case": str, "method": str, **_FIGURES, "cases": {ANY: _FIGURES}, "tests": {ANY: _FIGURES}}
