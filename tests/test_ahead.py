@@ -121,7 +121,7 @@ def counts(fit):
     return [(c.result.asked, c.result.solved, c.result.reused, c.result.failed) for c in fit.calibration.cases]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("kind", [of_numbers, of_modes])
 def test_starts_and_derivatives_are_shared_and_change_no_digit(kind):

@@ -108,7 +108,7 @@ def test_forbidden_imports():
         assert not crossed, f"{file} imports {crossed}"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_method_knows_no_structure_and_models_no_study():
     for _, file in parts():
         assert not any(name.split(".")[0] in ("models", "studies") for name in imports(file)), file
@@ -132,7 +132,7 @@ def users_files() -> list[Path]:
     return [*(ROOT / "models").rglob("*.py"), *studies, *(ROOT / "calib" / "template").rglob("*.py")]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_models_and_effects_import_the_public_faces_alone():
     files = users_files()
     assert len(files) > 60
@@ -195,7 +195,7 @@ def test_the_page_points_its_arrows_as_the_code_does():
         assert min(RANK[name] for name in above) > max(RANK[name] for name in below), (above, below)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_file_says_what_it_holds():
     """The list of modules in the documents is made of these sentences."""
     for file in [*(ROOT / "calib").rglob("*.py"), *(ROOT / "models").rglob("*.py")]:

@@ -138,7 +138,7 @@ def test_every_analysis_names_files_that_are_there(analysis):
     assert len(code_of(analysis)) == 16
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_of_every_file_all_code_counts_and_nothing_else():
     """The digest reads texts by a pattern, which is faster; Python's own tokens say the same."""
     for file in sorted(CALIB.rglob("*.py"))[::4]:

@@ -190,6 +190,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "inference/rules.py": "WIDE",
     "inference/sampled_posterior.py": "_TAILS",
     "results/answer.py": "LABEL",
+    "results/in_short.py": "MOST",
     "results/running.py": "_LENGTH",
     "correlation/response/problem.py": "_LISTED",
     "errors/place.py": "WIDEST _LEAST TAB",

@@ -188,7 +188,7 @@ def test_no_workers():
 # -- batches -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_workers_change_nothing(source, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "1")
     batch = points(*np.linspace(0.1, 0.9, 13), -1, -2, -5, 0.3)
@@ -228,7 +228,7 @@ def test_an_outcome_is_told_before_the_next_one_is_asked():
         assert {o.status for o in evaluator.evaluate(points(1, 2, 3), told.append)} == {"ok"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_workers_inherit_one_thread_and_the_environment_is_restored(source, monkeypatch):
     monkeypatch.setenv("OPENBLAS_NUM_THREADS", "2")
     monkeypatch.delenv("BLIS_NUM_THREADS", raising=False)
@@ -269,7 +269,7 @@ def test_a_point_that_kills_its_worker_is_a_failed_row(source, tmp_path):
     assert gone(pids)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.skipif(os.name == "nt", reason="the system has no such signals")
 def test_a_worker_leaves_requests_to_end_to_its_parent_and_the_programs_of_a_model_do_not(source):
     with Evaluator(source(), isolated=True) as evaluator:
@@ -285,7 +285,7 @@ def test_warnings_of_libraries_do_not_reach_the_terminal(source, capfd):
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_thread_that_the_model_leaves_running_keeps_no_process(source, tmp_path):
     log = tmp_path / "built"
     evaluator = Evaluator(source(str(log)), isolated=True)
@@ -308,7 +308,7 @@ def test_faults_of_the_setup_in_a_worker_come_back(source, tmp_path):
     assert gone([int(p) for p in log.read_text().split()])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_workers_that_cannot_start(source):
     with (
         Evaluator(source(kind="dies at start"), 2) as evaluator,
@@ -317,7 +317,7 @@ def test_workers_that_cannot_start(source):
         evaluator.evaluate(points(1))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("sign", [signal.SIGINT, signal.SIGKILL])
 def test_nothing_stays_behind_when_the_parent_is_stopped(source, tmp_path, sign):
@@ -374,7 +374,7 @@ STARTS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="the system has no named pipes")
 @pytest.mark.parametrize("start", STARTS)
 def test_a_process_that_is_still_importing_when_its_parent_is_killed_ends_too(tmp_path, start):

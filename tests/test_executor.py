@@ -154,7 +154,7 @@ def table(outcomes):
 # -- the same table ----------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("kind", [pytest.param(k, marks=[pytest.mark.slow] * (k == "cluster")) for k in EXECUTORS])
 def test_the_table_is_that_of_a_serial_evaluation(source, kind, monkeypatch):
@@ -190,7 +190,7 @@ def test_outcomes_are_told_as_they_arrive():
     assert [o.values["x"] for o in heard] == [0.0, 0.1, 0.6]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_function_is_built_once_in_every_process_and_let_go(source, tmp_path):
     for executor, most in ((ThreadPoolExecutor(3), 1), (ProcessPoolExecutor(2, get_context("spawn")), 2)):
         log = tmp_path / f"{most}"
@@ -266,7 +266,7 @@ def test_points_that_failed_with_the_executor_are_asked_again_by_one_that_surviv
     assert [o.status for o in mended] == ["ok", "ok"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_faults_of_the_setup_come_back(source):
     for kind, fault, text in (("unbuildable", InputError, "study changed"), ("bug", RuntimeError, "KeyError")):
         with ThreadPoolExecutor(2) as executor, pytest.raises(fault, match=text):

@@ -224,7 +224,7 @@ def example():
 FACTORS = np.array(list(make_twin.FACTORS.values()))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_cross_model_equations_give_a_start_as_good_as_the_study_says(started):
     """Though mesh, damping and gains of the structure are not the model's."""
     moduli = np.abs(started / FACTORS - 1).max()

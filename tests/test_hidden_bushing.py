@@ -64,7 +64,7 @@ def test_damping_is_as_a_workshop_measures_it(unit):
     assert 0.001 < modes.damping_ratio.min() and modes.damping_ratio.max() < 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_ring_of_springs_is_the_bush_and_loses_what_is_stated(unit):
     twin = module_of(STUDY / "make_twin.py")
     for spring in bushes(((0.0, 0.0, 1.0),)):

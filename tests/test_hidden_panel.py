@@ -43,7 +43,7 @@ def plain():
     return make_twin.built((), TRUTH["parameters"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_shapes_keep_their_signs_whatever_was_solved_before(plain):
     """The noise of a measurement goes with them."""
     again = make_twin.built((), TRUTH["parameters"])

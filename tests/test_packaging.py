@@ -82,7 +82,7 @@ def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return built
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wheel_holds_calib_alone(wheel):
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names} == {"calib", f"calib-{FALLBACK}.dist-info"}
@@ -126,7 +126,7 @@ def calib_alone(tmp_path) -> Path:
     return folder
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_of_the_clone_finds_the_models_from_elsewhere(calib_alone, tmp_path):
     done = outside(LOAD, tmp_path, calib_alone, str(ROOT / "studies/five_mass_chain"))
     assert done.returncode == 0, done.stderr

@@ -48,7 +48,7 @@ def test_results_with_old_names_are_refused(tmp_path, old):
         results.check_owner(tmp_path / "study.toml")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_ends_with_code_2_and_keeps_the_results(undrawn, tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     write_example(tmp_path / "mast")

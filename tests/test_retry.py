@@ -157,7 +157,7 @@ def test_a_study_calls_its_function_again(licences, capsys):
     assert " 0 failed" in said
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 def test_where_points_failed_the_command_is_named_and_a_retry_keeps_all_others(licences, capsys):
     said = "".join(licences("", 6, capsys))

@@ -59,7 +59,7 @@ def test_a_damaged_study_is_read_or_refused_in_one_sentence(example, data):
         assert str(copy) in str(fault)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @settings(max_examples=60, derandomize=True, deadline=None)
 @given(st.binary(max_size=400))
 def test_random_bytes_are_refused(tmp_path_factory, content):

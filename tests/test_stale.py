@@ -192,7 +192,7 @@ def told(capsys, *arguments):
     return capsys.readouterr().err
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("verb", [["sensitivity"], ["sensitivity", "--method", "morris"], ["calibrate"]])
 def test_a_model_that_reads_what_nobody_declared_is_told(powers, capsys, monkeypatch, tmp_path, verb):

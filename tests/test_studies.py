@@ -218,7 +218,7 @@ def test_a_bogie_of_which_nothing_is_chosen_is_found_as_the_studys_own(undrawn, 
     assert all(abs(table.loc[name, "value"] - twin.truth[name]) <= 1 for name in ("pos_long_left", "pos_long_right"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_solar_array_starts_far_from_its_measured_functions():
     """Of 200 lines and 12 functions a band of 33 and one response are held out."""
     study = LoadedStudy.load(ROOT / "studies/solar_panel")

@@ -34,7 +34,7 @@ def complaint(folder: Path) -> str:
     return str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_studies_of_the_repository_load():
     bogie, rig = LoadedStudy.load(BOGIE), LoadedStudy.load(RIG)
     assert bogie.measured.names == tuple(f"{k}BT" for k in range(1, 9))
@@ -43,7 +43,7 @@ def test_the_studies_of_the_repository_load():
     assert len(bogie.search_space.free) == 10 and len(bogie.sensitivity_space.free) == 14
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_limits_of_sensitivity_and_search_differ_as_in_the_case_study():
     study = LoadedStudy.load(BOGIE)
     assert (study.sensitivity_space["K_rod_lower"].lower, study.sensitivity_space["K_rod_lower"].upper) == (20.0, 30.0)

@@ -194,7 +194,7 @@ def test_what_cannot_be_sent_is_done_here(module):
         assert not one.shares
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module, meeting):
     with Team(2) as one:
         one(lambda shared, item: item, None, range(5))
@@ -211,7 +211,7 @@ def test_tasks_within_a_task_are_done_by_its_process(two, module, meeting):
     assert all(set(row) == {row[0]} for row in found)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_fails_or_dies_elsewhere_is_done_here(module, meeting):
     with Team(2) as one:
         ready(one, module, meeting)
@@ -223,7 +223,7 @@ def test_what_fails_or_dies_elsewhere_is_done_here(module, meeting):
         assert one(module.dies_elsewhere, (os.getpid(), last), range(3)) == [0, 1, 2]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_process_and_no_file_is_left_after_an_interrupt(module, meeting):
     before = set(multiprocessing.active_children())
     with pytest.raises(KeyboardInterrupt), Team(3) as one:
@@ -304,7 +304,7 @@ def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
     assert sorted(told) == told and told[-1] < 20
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_tasks_are_shared_while_a_context_lasts():
     seen = []
 
@@ -318,7 +318,7 @@ def test_tasks_are_shared_while_a_context_lasts():
     assert seen == [2]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_workers_below_one_are_refused():
     with pytest.raises(InputError, match="0 workers"):
         Team(0)

@@ -87,7 +87,7 @@ def test_designs_outside_the_library_change_the_wall(make, design):
     assert not np.allclose(plain.stiffness(s), built.stiffness(s), rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_factors_are_the_finer_mesh_over_the_coarse_one():
     coarse, fine = (tire_on_ground(*mesh, (10.0,), (), (1,), derivatives=False) for mesh in ((11, 10), (15, 12)))
     corrected = mesh_corrected(coarse, mesh_factors(coarse, fine, (100.0, 200.0)))

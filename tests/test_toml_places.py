@@ -117,7 +117,7 @@ def written(value):
     return repr(value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @settings(max_examples=40, derandomize=True, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(st.dictionaries(st.text("ab.' é", max_size=3), values, max_size=3), st.lists(values, max_size=3))
 def test_any_value_is_found(top, rows):

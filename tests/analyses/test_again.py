@@ -41,7 +41,7 @@ def asked() -> list[float]:
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_failed_points_alone_are_evaluated_again(sampled, capsys):
     assert "points failed" in sampled and "calib again plain" in sampled
     failed = [a for a in asked() if a > 2.5]
@@ -59,7 +59,7 @@ def test_failed_points_alone_are_evaluated_again(sampled, capsys):
     assert not [a for a in asked() if a > 2.5]  # what was found is used
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_same_from_python(sampled):
     Path("licence").touch()
     found = Study.load("plain").again()
@@ -67,7 +67,7 @@ def test_the_same_from_python(sampled):
     assert Study.load("plain").again().points == found.failed
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_has_failed(sampled, capsys):
     text = Path("plain/model.py").read_text()
     Path("plain/model.py").write_text(text.replace('values["a"] > 2.5', "False"))

@@ -55,7 +55,7 @@ def answer(tmp_path):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_starts_that_agree_need_no_search(answer):
     found = answer()
     assert [case.search for case in found.cases] == [None, None]
@@ -76,19 +76,19 @@ def test_least_squares_after_the_search_are_never_worse_than_the_starts(answer):
     assert answer("waves = 2.0", folder="auto").best.statistics.criterion <= starts.best.statistics.criterion + 1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("more", ["weight_freq = 2.0", "refine = false"])
 def test_an_objective_that_is_stated_is_searched(answer, more):
     found = answer(more=more)
     assert all(case.search is not None for case in found.cases)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_points_that_fail_leave_the_search(answer):
     found = answer("gap = 1.5")
     assert all(case.search is not None for case in found.cases)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_same_with_a_quick_run(answer):
     assert [case.search for case in answer(quick=True).cases] == [None, None]

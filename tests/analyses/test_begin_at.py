@@ -61,14 +61,14 @@ def answer(study, tmp_path, method):
         return calibrate(study, results, ledger, 1, method=method)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("valley", VALLEYS)
 def test_least_squares_end_in_the_valley_they_begin_in(study, tmp_path, valley):
     found = answer(study(f"starts = 1\nbegin_at = {{ a = {valley + 0.1} }}"), tmp_path, "gauss-newton")
     assert found.best.result.values["a"] == pytest.approx(valley, abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("valley", VALLEYS)
 def test_least_squares_begin_at_a_design_that_was_evaluated(study, tmp_path, valley):
     answer(study(f"starts = 1\nbegin_at = {{ a = {valley + 0.1} }}"), tmp_path, "gauss-newton")
@@ -84,7 +84,7 @@ def test_least_squares_begin_at_a_design_that_was_evaluated(study, tmp_path, val
         answer(study('begin_at = "design 1000000"'), tmp_path, "gauss-newton")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_least_squares_start_from_the_end_of_a_search_and_from_known_points(study, tmp_path, monkeypatch):
     asked, refined = [], CaseFinder.refined
 
@@ -113,7 +113,7 @@ def between():
 """
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_both_points_are_reported_where_least_squares_minimise_another_criterion(study, tmp_path):
     """Relative errors are smallest at a = 1; weighted by standard deviations only z = 2 counts."""
     loaded = study("population = 12\ngenerations = 12")
@@ -139,7 +139,7 @@ def test_both_points_are_reported_where_least_squares_minimise_another_criterion
     assert found.best.worsened and sum(found.best.name in s and "raised the misfit" in s for s in found.sentences) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_least_squares_that_did_not_run_are_not_reported(study, tmp_path):
     """The search's values are reported as they are: one point a case, one state in the figures and on the page."""
     loaded = study("population = 6\ngenerations = 3\nrefine = false")
@@ -168,7 +168,7 @@ def test_least_squares_start_from_the_nominal_values_too(study, tmp_path):
     assert found.best.result.values["a"] == pytest.approx(VALLEYS[1], abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_reported_case_has_the_lowest_sum_of_squares(study, tmp_path):
     loaded = study("population = 4\ngenerations = 2")
     text = (tmp_path / "study.toml").read_text().replace('{ name = "A", seed = 1 }', ", ".join(
@@ -202,7 +202,7 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
         assert found.best.statistics.criterion <= state.misfit * (1 + 1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_fit_by_an_explanation_of_another_state_is_not_a_start(guyed, tmp_path):
     """Neither for its own study nor for the one that was extended from it."""
     study, _, told, _ = guyed
@@ -219,7 +219,7 @@ def test_a_fit_by_an_explanation_of_another_state_is_not_a_start(guyed, tmp_path
     assert explained_fit(LoadedStudy.load(own.file), results) == {} == explained_fit(wider, beside)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_fit_of_another_model_is_not_a_start(guyed, tmp_path):
     study = guyed[0]
     results = Results.at(tmp_path / "results", study.name)

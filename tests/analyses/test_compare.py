@@ -10,7 +10,7 @@ from calib.results.results import Results
 from calib.study.study import LoadedStudy
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_paired_by_the_user_are_reported(here, mast, edited):
     def said(folder):
         study = LoadedStudy.load(folder)
@@ -22,7 +22,7 @@ def test_modes_paired_by_the_user_are_reported(here, mast, edited):
     assert said(chosen) == ["Paired as the study says and not as computed: B2x with model mode 4."]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_orthogonality_is_written_and_told(here, mast, tmp_path):
     study = LoadedStudy.load(mast.write_study(here / "mast"))
     answer = comparison_at(study, study.search_space.values)
@@ -38,7 +38,7 @@ def test_the_orthogonality_is_written_and_told(here, mast, tmp_path):
     assert [s for s in answer.sentences if s == checked.sentence] and answer.sentences[-1].startswith("Where it fails")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_shapes_that_cannot_be_expanded_have_a_reason_and_leave_no_tables(here, mast, tmp_path):
     """Two sensors at the same place and direction, of three modes: neither expansion exists."""
     study = LoadedStudy.load(mast.write_study(here / "mast"))

@@ -88,7 +88,7 @@ def test_data_within_their_standard_deviation_do_not_contradict(tmp_path):
     assert answer.contradictions == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_correctly_specified_models_are_hardly_ever_rejected(tmp_path):
     rejected = [bool(calibrated(line(tmp_path / f"s{seed}", 0.0, seed))[2].contradictions) for seed in range(4)]
     assert not any(rejected)

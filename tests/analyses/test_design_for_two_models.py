@@ -23,7 +23,7 @@ def world(mast, tmp_path_factory):
     return measured_mast(mast, tmp_path_factory.mktemp("design"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_models_are_linearised_at_samples_of_both_weighted_by_their_probability(world):
     _, hypotheses, fit = world
     pair, found = pair_of(hypotheses), scores(fit, hypotheses.effects, {})
@@ -46,7 +46,7 @@ def test_two_models_are_linearised_at_samples_of_both_weighted_by_their_probabil
         assert step > 0 and np.linalg.norm(moved - linear) < 0.2 * np.linalg.norm(moved)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_gains_and_counted_points_are_the_same_whoever_solves_the_samples(world):
     """Copies, as other processes get them, know no points that were solved before."""
     _, hypotheses, fit = world

@@ -57,7 +57,7 @@ def table(study):
     return study.designs().table
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_each_row_is_a_point_with_its_responses_constraint_and_errors(table):
     assert list(table.columns[: len(HEAD)]) == list(HEAD)
     good = table[table["status"] == "ok"]
@@ -70,7 +70,7 @@ def test_each_row_is_a_point_with_its_responses_constraint_and_errors(table):
     assert (table["both"] <= 4).all() and set(table["case"]) == {"A", "B", OTHER}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_best_stand_first_and_what_failed_last(study, table):
     assert table["objective"].dropna().is_monotonic_increasing and table["rank"].tolist() == list(
         range(1, len(table) + 1)
@@ -81,7 +81,7 @@ def test_the_best_stand_first_and_what_failed_last(study, table):
     assert len(feasible) == int((~failed).sum()) and "failed" not in set(feasible["status"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_evaluated_individual_is_there_once(study, table):
     summary = pd.read_json(study.folder.path / "summary.json", typ="series")
     for case in ("A", "B"):
@@ -101,7 +101,7 @@ def test_a_design_is_taken_as_a_start(study, table):
         study.designs(design=99999)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_path):
     study.designs(csv=tmp_path / "all.csv", anthill=[("a", "z")], parallel=True, draw=["history", "matrix"])
     written = pd.read_csv(tmp_path / "all.csv")
@@ -116,7 +116,7 @@ def test_the_whole_table_and_pictures_are_written_on_request(study, table, tmp_p
         study.designs(csv=tmp_path / "no" / "all.csv")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_prints_the_same_and_draws(study, table, capsys):
     where = [str(study.path), "--results", str(study.results)]
     assert cli.execute(["designs", *where, "--best", "3", "--anthill", "a", "z"]) == 0

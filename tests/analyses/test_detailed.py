@@ -74,7 +74,7 @@ def explained(parts):
     return calib.Problem(parts["spring"](), test).explain(parts["library"](), progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_adequate_member_is_told_with_its_magnitude(explained):
     answer = explained.explanation
     assert answer.verdict == "none_explains" and answer.explanation.chosen.names == ("cubic",)
@@ -89,7 +89,7 @@ def test_the_adequate_member_is_told_with_its_magnitude(explained):
     assert explained.lines["Next"].endswith("Or add bow, which is cubic in more detail and explains the data.")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_richer_member_leaves_the_decision_as_it_is(explained, parts):
     bare = tuple(replace(e, richer=None) for e in parts["library"]())
     alone = calib.Problem(parts["spring"](), calib.ResponseTest(measured(parts))).explain(bare, progress=False)
@@ -104,7 +104,7 @@ def test_the_richer_member_leaves_the_decision_as_it_is(explained, parts):
     assert set(found.tables) - set(other.tables) == {"richer", "richer_errors"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_chain_goes_on_where_a_member_is_not_adequate(parts):
     test = calib.ResponseTest(measured(parts, richest=0.5))
     explained = calib.Problem(parts["spring"](), test).explain(parts["library"](), progress=False)
@@ -119,7 +119,7 @@ def test_the_chain_goes_on_where_a_member_is_not_adequate(parts):
     assert words.startswith("In more detail cubic does not explain the data either: ") and "extend" not in words
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_only_what_is_far_ahead_and_not_named_is_refined(explained):
     found = explained.explanation.explanation
     assert leading_fit(found) is found.chosen and is_far_ahead(found)

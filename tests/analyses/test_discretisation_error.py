@@ -79,7 +79,7 @@ def test_frfs_of_the_same_mesh_have_no_discretisation_error(settled_frfs):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_frfs_see_the_mesh_the_more_the_coarser_it_is(settled_frfs, mast):
     hypotheses, fit = settled_frfs
     sizes = [frf_discretisation_error(hypotheses, fit, mast.mast(h)).largest for h in (0.1, 1.0, 2.0)]
@@ -117,7 +117,7 @@ def test_every_effect_and_every_local_perturbation_is_scored_largest_first(settl
     assert table["score"].abs().is_monotonic_decreasing
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_finer_mesh_gives_small_scores_and_a_much_coarser_one_large(settled, mast):
     """The eigenvalue error of cubic beam elements grows with about the fourth power of their length."""
     hypotheses, fit = settled
@@ -147,7 +147,7 @@ def test_a_difference_that_a_candidate_describes_shows_in_its_score(settled):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_there_is_no_noise_in_it(settled, mast):
     """Other noise of the same standard deviation gives nearly the same scores, and no score depends on a seed."""
     hypotheses, fit = settled

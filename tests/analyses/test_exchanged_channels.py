@@ -39,7 +39,7 @@ def told(mast, edited, tmp_path_factory):
     return explained
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("hidden", [{}, {"guy": 20000.0}])
 def test_exchanged_channels_are_told(told, hidden):
     folder, answer = told(hidden, wrong=True)
@@ -55,7 +55,7 @@ def test_exchanged_channels_are_told(told, hidden):
     assert faults.loc[faults["blamed"], "sensor"].tolist() == ["6x 3x"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_of_a_sound_test_no_pair_is_told(told):
     folder, answer = told({}, wrong=False)
     assert answer.explanation.verdict == "nothing_detectable" and answer.explanation.faulty == ()

@@ -39,7 +39,7 @@ def world(mast, tmp_path_factory):
     return measured_mast(mast, tmp_path_factory.mktemp("design"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
     """Counts of repeats behind each value belong to the real measurement, not to the imagined one."""
     _, hypotheses, _ = world
@@ -56,13 +56,13 @@ def test_repeats_with_missing_values_do_not_prevent_a_recommendation(world):
     assert found is not None and all(np.isfinite(sizes(found, o)).all() for o in found.measurements)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_present_signatures_are_those_of_the_measured_problem(world):
     _, hypotheses, fit = world
     np.testing.assert_allclose(sizes(design_of(hypotheses, fit)), measured_again(hypotheses, fit), rtol=EXACT)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_more_sensors_gain_as_predicted(world):
     _, hypotheses, fit = world
     design = design_of(hypotheses, fit)
@@ -76,7 +76,7 @@ def test_more_sensors_gain_as_predicted(world):
     assert (measured_again(hypotheses, fit, sensors_in(best)) / now).max() > 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_held_out_sensors_are_to_be_used_and_not_measured_again(world):
     study, hypotheses, fit = world
     held = tuple(s for s in study.measured.sensors if s.name in HELD)
@@ -235,7 +235,7 @@ def test_nothing_is_recommended_where_the_model_cannot_be_solved(world, monkeypa
 # -- effects with a grid -----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_signature_of_an_effect_with_a_grid_is_taken_at_its_best_point(world):
     """At the point of its grid with the largest score, by difference; for a tiny magnitude that is the derivative."""
     _, hypotheses, fit = world
@@ -258,7 +258,7 @@ def test_the_signature_of_an_effect_with_a_grid_is_taken_at_its_best_point(world
 # -- posterior samples -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_posterior_shrunk_to_a_point_predicts_the_same_gain_as_the_fit(world):
     _, hypotheses, fit = world
     one, several = design_of(hypotheses, fit), design_of(hypotheses, fit, samples=4)
@@ -268,7 +268,7 @@ def test_a_posterior_shrunk_to_a_point_predicts_the_same_gain_as_the_fit(world):
     pd.testing.assert_frame_equal(recommend(one), recommend(several), rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_posterior_samples_differ_and_are_reproducible(world):
     _, hypotheses, fit = world
     one, again = (design_of(hypotheses, fit, samples=5, certain=False) for _ in range(2))
@@ -280,7 +280,7 @@ def test_posterior_samples_differ_and_are_reproducible(world):
     assert (table["gain_low"] < table["gain_high"]).any()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_further_mode_outside_the_window_at_some_samples_gains_nothing_there(world):
     """The window ends just above the first of the further modes, which the samples shift by a few per cent."""
     _, hypotheses, fit = world

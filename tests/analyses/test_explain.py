@@ -31,7 +31,7 @@ KEYS = {
 # -- verdicts ----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_rope_is_named_with_its_magnitude(guyed):
     _, _, answer, _ = guyed
     assert answer.verdict == "effect" and answer.explanation.credible == ("guy",)
@@ -54,7 +54,7 @@ def test_other_effects_are_named_too(mast, tmp_path, hidden):
     assert row["magnitude_low"] <= magnitude <= row["magnitude_high"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_a_missing_effect_none_is_named(bare):
     *_, answer = bare
     assert answer.verdict == "nothing_detectable" and answer.explanation.credible == ()
@@ -62,7 +62,7 @@ def test_without_a_missing_effect_none_is_named(bare):
     assert "Error in units" not in answer.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_mass_hung_on_the_chain_is_named(chain):
     truth = json.loads((ROOT / "tests/truth/five_mass_chain.json").read_text("utf-8"))
     *_, answer = chain
@@ -134,7 +134,7 @@ def test_settings_of_the_study_reach_the_decision(mast, edited, tmp_path, monkey
 # -- summary -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_summary_has_the_documented_keys(guyed, bare, chain):
     for study, results, answer in (guyed[:3], bare, chain):
         content = json.loads((results.path / "explanation.json").read_text())
@@ -148,14 +148,14 @@ def test_the_summary_has_the_documented_keys(guyed, bare, chain):
         assert [e["name"] for e in content["effects"]] == list(answer.effects["name"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_key_of_the_summary_is_documented(guyed, chain):
     documented = runpy.run_path(str(ROOT / "tests/docs/tables.py"))["documented"]()["explanation.json"]
     for results in (guyed[1], chain[1]):
         assert set(json.loads((results.path / "explanation.json").read_text())) <= set(documented)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_summary_holds_the_chosen_effects(guyed, bare):
     content = json.loads((guyed[1].path / "explanation.json").read_text())
     found = guyed[2].explanation

@@ -157,7 +157,7 @@ def test_a_model_that_cannot_be_solved_is_refused(mast, tmp_path, monkeypatch):
     assert fault.remedy
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_interrupted_explanation_leaves_no_summary(mast, tmp_path, monkeypatch):
     """Tables are written whole or not at all, and the summary last."""
     study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))

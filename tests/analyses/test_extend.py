@@ -87,7 +87,7 @@ def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
     assert new.problem.evaluate({"bend": 0.5, "bend_at": 2.0}) == {"s": 4.0}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_selection_by_the_sensitivity_analysis_stays_so(sums, edited):
     text = Path(sums, "study.toml").read_text()
     selection = text[text.index("selection") : text.index("effects")]

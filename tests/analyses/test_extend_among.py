@@ -50,7 +50,7 @@ def test_a_search_is_not_repeated_from_scratch(rig, keys, method):
         assert made.begin_at == known and made.refine == study.settings.calibration.refine
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_identical_study_among_results_stays_and_a_changed_one_is_kept_aside(rig, tree):
     Path("results").mkdir()
     study, written = LoadedStudy.load(rig), Path("results/rig_extended")

@@ -69,7 +69,7 @@ def test_a_parameter_determined_by_its_prior_takes_no_degree_of_freedom(line):
     assert found.fits is True
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_repeats_make_the_standard_deviations_uncertain(line):
     y = around(0.25)
     known, repeated = line(y).best.statistics, line(y, more="repeats = 2").best.statistics
@@ -110,7 +110,7 @@ def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
 # -- identifiability ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_parameter_without_influence_is_not_identified_by_its_prior(line):
     found = line(around(0.1), ("a", "b", "idle"))
     table = found.verdicts.set_index("parameter")
@@ -127,7 +127,7 @@ def test_a_parameter_at_its_limit_is_not_identified(line):
     assert not table["identified"]["b"] and table["not_identified"]["b"] == "misfit, limit"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_rejected_model_has_no_identified_parameter(line):
     """Alternating errors of 8, against a stated standard deviation of 0.1; the Birge ratio scales what is told."""
     good, bad = line(around(0.1)), line(around(0.1) + 8.0 * (-1.0) ** np.arange(8))
@@ -143,7 +143,7 @@ def test_a_rejected_model_has_no_identified_parameter(line):
     assert sentence.startswith("0 of 2") and sentence in bad.answer.sure and "do not hold" in sentence
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_with_fewer_than_two_degrees_of_freedom_a_model_error_cannot_be_seen(line):
     """Three values of a line: one degree of freedom is left, and the fit is good."""
     three, four = line(around(0.1, n=3)), line(around(0.1, n=4))
@@ -165,7 +165,7 @@ def test_a_model_that_held_out_data_contradict_has_no_identified_parameter(line)
     assert "validation data contradict" in found.sentences[0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_a_fit_no_datum_is_suspected(line, tmp_path):
     """One datum is wrong: a fit suspects it, the same parameter values without a fit do not."""
     y = around(0.1)

@@ -113,7 +113,7 @@ def clear():
     return explained_chain(60.0, 4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_floor_is_found_with_the_mass(clear):
     assert clear.verdict == "effect" and [e.name for e in clear.named] == ["extra"]
     chosen = clear.explanation.explanation.chosen
@@ -125,7 +125,7 @@ def test_the_floor_is_found_with_the_mass(clear):
     assert any(s.startswith("extra acts at floor 4, one of 5 places; the odds against") for s in clear.sentences)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("place", [1, 5])
 def test_the_first_and_the_last_place_are_no_limits(place):
     found = explained_chain(70.0, place)
@@ -133,7 +133,7 @@ def test_the_first_and_the_last_place_are_no_limits(place):
     assert not found.explanation.explanation.chosen.implausible
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_places_that_the_data_do_not_discriminate_are_all_credible():
     """Two of the places are the same floor."""
     found = explained_chain(60.0, 3, rows=(0, 1, 1, 3, 4))
@@ -143,7 +143,7 @@ def test_places_that_the_data_do_not_discriminate_are_all_credible():
     assert places_sentence(table).endswith(" explains about as well.")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_places_count_in_the_evidence(clear):
     chosen = clear.explanation.explanation.chosen
     (effect,) = chosen.effects
@@ -153,7 +153,7 @@ def test_places_count_in_the_evidence(clear):
     assert scores.owners.count("extra") == 5  # each place is one of the tests of the family
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_mass_is_found_along_a_girder_between_its_nodes():
     model, effect = girder(), load()
     sensors = [Sensor(k, "z") for k in range(2, 9)]

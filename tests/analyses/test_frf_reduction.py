@@ -41,7 +41,7 @@ def results(tmp_path):
     return Results.at(tmp_path / "results", "chain")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_basis_is_trained_over_model_and_loads_but_not_over_gains(study, results):
     found = reduction_of(study, results)
     wanted = BasisRequirements.of(study.problem, 1e-5, 1)
@@ -56,7 +56,7 @@ def test_a_basis_is_trained_over_model_and_loads_but_not_over_gains(study, resul
     assert BasisRequirements.of(other, 1e-5, 1).key(study.model, study.search_space) != key
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_stored_basis_is_loaded_and_serves_workers(study, results, monkeypatch):
     found = reduction_of(study, results)
     monkeypatch.setattr(requirements, "train", lambda *a, **k: pytest.fail("it is there"))
@@ -76,7 +76,7 @@ def coarse(found, study):
     return replace(found, problem=study.problem.reduced(basis))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_point_that_the_basis_misses_is_estimated_seen_and_added(study, results):
     found = reduction_of(study, results)
     values = study.search_space.complete({"k": 7e3, "gain_1x": 2.0})
@@ -88,7 +88,7 @@ def test_a_point_that_the_basis_misses_is_estimated_seen_and_added(study, result
     assert better.basis.version == 2 and better.path.exists() and not better.misses_at(values)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_basis_is_enriched_in_memory_where_held_parameters_leave_what_it_represents(study, results):
     found = reduction_of(study, results)
     values = study.search_space.complete({"k": 7e3, "gain_1x": 2.0})

@@ -43,7 +43,7 @@ def test_nothing_is_named_where_nothing_is_missing():
     assert verdicts == ["nothing_detectable"] * 20
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_parameter_held_at_a_wrong_value_is_a_local_perturbation_and_no_named_effect():
     problem = Linear(5)
     problem.y = problem.y + 0.5 * problem.held

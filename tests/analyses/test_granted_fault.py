@@ -35,7 +35,7 @@ def told(mast, edited, tmp_path_factory):
     return results.path, explain(study, results)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_effect_and_fault_are_told_together(told):
     _, answer = told
     found = answer.explanation
@@ -48,7 +48,7 @@ def test_effect_and_fault_are_told_together(told):
     assert "Check its calibration" in answer.answer.then and f'"{fault.name}" = {value:.3g}' in answer.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_it_is_written_as_it_is_told(told):
     folder, answer = told
     summary = json.loads((folder / "explanation.json").read_text())
@@ -61,7 +61,7 @@ def test_it_is_written_as_it_is_told(told):
     assert any("Validation data" in note for note in answer.notes)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_added_before_the_measurement_is_corrected(told):
     found = told[1].explanation
     assert to_add(found) is None and "correct them first" in nothing_added(found)

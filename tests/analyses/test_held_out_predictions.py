@@ -90,7 +90,7 @@ def test_a_change_of_held_out_rows_is_the_difference_that_the_candidate_makes(gu
             )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_held_out_modes_above_the_reach_of_a_reduced_basis_are_predicted_at_full_order(mast, tmp_path, monkeypatch):
     """The basis is trained for the modes that are fitted, of which there are fewer."""
     study = LoadedStudy.load(mast.write_study(tmp_path / "mast", {"guy": 12000.0}))
@@ -114,7 +114,7 @@ def _adapter(problem, mast):
     return adapter
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_frfs_held_out_are_predicted_with_the_misfit(frfs):
     found, adapter = frfs
     table, errors = predicted(adapter, found)
@@ -131,7 +131,7 @@ def test_frfs_held_out_are_predicted_with_the_misfit(frfs):
     assert line["value"] == pytest.approx(entry.imag)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_candidate_with_a_grid_changes_held_out_data_by_differences(frfs):
     """The same as the derivative where the grid has one small point."""
     explanation, adapter = frfs
@@ -145,7 +145,7 @@ def test_a_candidate_with_a_grid_changes_held_out_data_by_differences(frfs):
         )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_candidate_that_fails_on_held_out_data_is_left_out_there(frfs, monkeypatch):
     (explanation, adapter), own = frfs, type(frfs[1]).residuals_held_out
 
@@ -183,7 +183,7 @@ def test_scalar_responses_held_out_are_predicted_without_a_further_call():
     assert any(words.startswith("Validation data inside the 95 % intervals") for words in why.sentences)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_each_of_several_tests_is_predicted_by_the_discrepancy_of_all(tmp_path):
     folder = write_study(tmp_path / "frame")
     study = load(folder)

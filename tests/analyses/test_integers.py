@@ -27,7 +27,7 @@ UNTRIED = "Not all neighbours of these integers were tried: another combination 
 pytestmark = pytest.mark.usefixtures("functions_in_this_process")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("refits", [RULES.refits, 2])
 def test_an_incomplete_search_over_integers_is_reported(here, monkeypatch, capsys, refits):
     monkeypatch.setattr(case_starts, "RULES", replace(RULES, refits=refits))

@@ -24,7 +24,7 @@ def problem(**measured):
     return calib.Problem(calib.FunctionModel("springs", space, oscillators), test)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_data_bound_a_spring_alone_and_of_two_in_series_one_side():
     fit = problem(f1=(5.0, 0.1), f2=(7.0, 0.1)).calibrate(starts=1, progress=False)
     found = fit.intervals(progress=False)
@@ -103,7 +103,7 @@ def test_the_command_writes_what_it_prints_and_python_gets_the_same(mast, capsys
     assert "intervals" in record["analyses"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_new_calibration_removes_them_and_without_one_they_are_refused(mast, capsys):
     assert told(mast, capsys, "--parameter", "E")[0] == 0
     assert (mast / "results/mast/profiles.csv").exists()

@@ -83,7 +83,7 @@ def test_effects_in_the_model_are_not_candidates(study, results, mast):
     assert "lamp" in hypotheses.variants.model.space
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_basis_is_trained_once_and_kept(study, results, small_pays):
     progress = []
     first, _ = modal_hypotheses(study, results, lambda stage, *more: progress.append(stage))
@@ -95,7 +95,7 @@ def test_the_basis_is_trained_once_and_kept(study, results, small_pays):
     np.testing.assert_array_equal(first.variants.basis.vectors, again.variants.basis.vectors)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_stored_basis_agrees_with_the_model_itself(study, results, small_pays):
     on_basis, _ = modal_hypotheses(study, results)
     full = replace(on_basis, variants=replace(on_basis.variants, basis=None))
@@ -109,7 +109,7 @@ def test_the_stored_basis_agrees_with_the_model_itself(study, results, small_pay
         assert np.abs(one.jacobian(there, names) - slope).max() < 0.02 * np.abs(slope).max()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, small_pays, monkeypatch, own_cache):
     modal_hypotheses(study, results)
     trained = []
@@ -121,7 +121,7 @@ def test_the_basis_of_a_search_is_reused_and_left_unchanged(study, results, smal
     assert len(small_pays) == 2 and not trained
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "change",
     ["limits", *(pytest.param(name, marks=pytest.mark.slow) for name in ("model", "modes", "tolerance", "effects"))],
@@ -148,7 +148,7 @@ def test_changed_requirements_need_another_basis(study, results, small_pays, cha
     assert after.name != before.name
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_basis_does_not_depend_on_the_measurement(study, results, small_pays, mast, tmp_path):
     modal_hypotheses(study, results)
     again = LoadedStudy.load(mast.write_study(tmp_path / "again", seed=7))
@@ -157,7 +157,7 @@ def test_the_basis_does_not_depend_on_the_measurement(study, results, small_pays
     assert len(small_pays) == 1 and len(bases(results)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "content", [b"rubbish", *(pytest.param(content, marks=pytest.mark.slow) for content in (b"", None))]
 )

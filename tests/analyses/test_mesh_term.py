@@ -50,12 +50,12 @@ def asked(mast, edited, tmp_path):
     return ask
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_mesh_that_is_too_coarse_is_taken_for_something_missing(asked):
     assert asked(None)[1].verdict != "nothing_detectable"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_seems_missing_where_the_error_of_the_mesh_is_uncertain(asked):
     _, answer, results = asked(MULTIPLE)
     assert answer.verdict == "nothing_detectable" and answer.figures["discretisation"] < 1
@@ -79,7 +79,7 @@ def test_an_effect_is_still_named_and_held_out_data_agree(asked):
     assert held_out.loc["after", "p"] > 0.05 > held_out.loc["before", "p"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_fitted_multiple_counts_like_a_term_of_the_covariance(mast, tmp_path):
     """Sum of squares and covariance of generalised least squares with ``I + s^2 w w^T``, by hand at the same slope."""
     study = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
@@ -204,7 +204,7 @@ def pressed(n=1, **finer):
     return calib.Problem(scaled(), tests, **finer)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_error_of_the_mesh_is_one_of_all_data():
     """A mesh that is off by 3 % moves k by 3 %, however many tests there are."""
     finer = {"finer": {"scale": scaled(1.03)}}
@@ -240,7 +240,7 @@ def test_the_fit_is_tested_with_the_error_of_the_mesh():
     assert told.statistics.considered_misfit < 1 < exact.statistics.misfit
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_of_a_coarse_mesh_likewise_from_a_folder_and_in_python(mast, edited, tmp_path):
     """The coarse mast is off by half of its standard deviations and more; both doors say the same."""
     own = f"model_options = {{ element_size = {COARSE} }}\n"

@@ -42,7 +42,7 @@ def scenario(world, name):
     return next(s for s in world.kinds if s.name == name)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_finer_frame_is_the_same_structure(bench):
     of = bench["rates_frame"]
     coarse, fine = of.frame(of.COARSE).model(), of.frame(of.FINE).model()
@@ -73,7 +73,7 @@ def test_effects_are_built_into_the_twin_otherwise_than_the_library_has_them(ben
         assert 1e-6 < np.abs(one / other - 1).max() < 0.6 * change, effect.name
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("name", "verdict", "named"),
@@ -124,7 +124,7 @@ def test_each_fault_changes_what_it_should(bench, worlds, fault):
         assert np.allclose(ratio, ratio[0, 0]) and 0.04 < abs(ratio[0, 0] - 1) < 0.31
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_misplaced_sensor_and_an_odd_repeat_are_measured(worlds, monkeypatch):
     """The noise-free modes show the former; the standard deviations the latter."""
     _, world = worlds
@@ -150,7 +150,7 @@ def by_frfs(bench, tmp_path_factory):
     return bench["rates_frame_frf"].FRFFrameWorld(subject, tmp_path_factory.mktemp("frf"), "test")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_thirty_frames_by_frfs_are_a_round(by_frfs):
     groups = {group: sum(s.each for s in by_frfs.kinds if s.group == group) for group in ("nothing", "fault", "single")}
     assert groups == {"nothing": 6, "fault": 6, "single": 14} and sum(s.each for s in by_frfs.kinds) == 30
@@ -171,7 +171,7 @@ def test_a_wrong_channel_is_read_by_its_functions_alone(bench, by_frfs, kind):
         assert (size - 1, angle) == pytest.approx((fault.size, 0.0) if kind == "gain" else (0.0, fault.size), abs=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wrong_channel_is_a_candidate_and_no_parameter(by_frfs):
     kind = scenario(by_frfs, "fault/gain")
     measured = by_frfs.measure(kind, 0)

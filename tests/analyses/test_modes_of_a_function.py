@@ -69,7 +69,7 @@ def fitted(folders):
     return found
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_study_is_compared_and_fitted_as_with_matrices(fitted):
     (mine, here), (theirs, there) = fitted["function"], fitted["matrices"]
     for table in ("comparison_before", "where_it_fails_before", "mac_before", "shapes_before"):

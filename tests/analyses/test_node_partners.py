@@ -93,7 +93,7 @@ def test_modes_are_compared_at_the_nearest_nodes_and_the_table_is_written(study,
     assert any("4 measured nodes" in words and "node 44" in words for words in answer.sentences)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_both_doors_refuse_beyond_the_limit_that_is_stated(study, tmp_path, capsys):
     _limit(study, 0.1)
     assert cli.execute(["compare", str(study), "--results", str(tmp_path / "r")]) == 2

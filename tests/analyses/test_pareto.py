@@ -48,7 +48,7 @@ def found(fit):
     return fit.pareto(objectives=TWO, population=30, generations=40, progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_front_is_that_of_the_closed_form(found):
     front = found.of.front
     # on the segment between both centres sqrt(y) + sqrt(z) = sqrt(2)
@@ -67,7 +67,7 @@ def test_the_front_is_that_of_the_closed_form(found):
     assert two["least"] == front["second"].min() and one["least_squares"] == fitted["first"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_same_seed_same_table_whoever_evaluates(fit):
     first = fit.pareto(objectives=TWO, **SMALL)
     with ThreadPoolExecutor(2) as executor:
@@ -77,7 +77,7 @@ def test_same_seed_same_table_whoever_evaluates(fit):
     assert not first.table["a"].equals(other.table["a"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_interrupted_search_resumes_from_the_ledger(tmp_path, fit):
     whole, calls = fit.pareto(objectives=TWO, **SMALL), []
     fitted = bent(tmp_path / "some.sqlite", calls).calibrate(starts=2, progress=False)
@@ -96,7 +96,7 @@ def test_an_interrupted_search_resumes_from_the_ledger(tmp_path, fit):
     pd.testing.assert_frame_equal(again.table.drop(columns="design"), whole.table.drop(columns="design"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_points_that_fail_are_left_out():
     found = bent(broken=True).calibrate(starts=2, progress=False).pareto(objectives=TWO, **SMALL)
     assert (found.of.front["a"] >= 0).all() and found.of.searched < 16 * 12
@@ -175,7 +175,7 @@ def test_front_and_knee_of_points():
 # -- drawn, by command -------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_weights_are_a_line_through_the_best_design(found):
     ax = draw_pareto(found.table, found.of.objectives)
     lines = {line.get_gid(): line for line in ax.get_lines()}

@@ -104,7 +104,7 @@ def test_the_limits_of_the_search_stand_beside_those_of_the_sensitivity():
     assert table.loc["c", ["search_lower", "search_upper"]].isna().all()  # the calibration holds it
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_record_of_a_study_tells_both_limits(tmp_path):
     results = Results.at(tmp_path, "hidden_bogie")
     write_record(LoadedStudy.load(ROOT / "studies/hidden_bogie"), results, "compare", {})

@@ -67,7 +67,7 @@ def logged(here):
     return LoadedStudy.load(plain.write(Path("plain"), LOGGED, ASKED, y=(5.0, 0.1), z=(4.0, 0.1), w=(6.0, 0.1)))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
     study = LoadedStudy.load(RIG)
     space = study.search_space
@@ -90,7 +90,7 @@ def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
     assert second.predictions.equals(first.predictions)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_least_squares_count_their_points(logged, tmp_path):
     counts = []
     for _ in range(2):
@@ -148,7 +148,7 @@ def test_a_function_is_the_same_whatever_the_ledger_has_of_it(tmp_path):
         assert [model.fingerprint for model in behind] == before
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_function_is_called_once_per_point(logged, tmp_path):
     tables = []
     for _ in range(2):

@@ -34,7 +34,7 @@ def more(sampled):
     return sampled.refine(15, progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_runs_lie_where_the_metamodels_agree_with_the_measurement_and_err(more):
     runs = more.of.runs
     assert list(runs) == ["a", "b", "weight", "y", "z"] and len(runs) == 15 and not more.of.proposed
@@ -48,7 +48,7 @@ def test_runs_lie_where_the_metamodels_agree_with_the_measurement_and_err(more):
     assert len(more.of.prognosis["z"].rows) == 65
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_more_runs_begin_with_the_same_ones(sampled, more):
     fewer = sampled.refine(4, progress=False)
     pd.testing.assert_frame_equal(fewer.of.runs, more.of.runs.head(4))
@@ -56,7 +56,7 @@ def test_more_runs_begin_with_the_same_ones(sampled, more):
     assert not other.of.runs["a"].equals(fewer.of.runs["a"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_a_measurement_within_reach_runs_are_still_told(capsys):
     found = bumpy(measured=False).sensitivity(samples=40, progress=False).refine(3, progress=False)
     assert len(found.of.runs) == 3 and np.isfinite(found.of.runs["y"]).all()
@@ -86,7 +86,7 @@ def test_choices_keep_away_from_designs_and_from_each_other():
     assert chosen(np.where(line[:, 0] < 0.55, 1.0, 0.0), line, line[[0]], 1) == [5]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_errors_are_those_of_the_nearest_designs(sampled):
     models = [one for one in sampled.prognosis.models if one.response == "z"]
     x = sampled.samples[["a", "b"]].to_numpy()
@@ -106,7 +106,7 @@ responses = "measured.csv"
 """
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_runs_of_a_table_are_proposed_by_the_command(tmp_path, sampled, capsys, no_drawing):
     folder = tmp_path / "table"
     folder.mkdir()

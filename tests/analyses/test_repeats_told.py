@@ -64,7 +64,7 @@ def test_a_reversed_channel_in_one_repeat(example, tmp_path):
     assert plain.measured.fingerprint != study.measured.fingerprint
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_outlying_response_is_reported_by_an_explanation(tmp_path):
     folder = tmp_path / "chain"
     shutil.copytree(CHAIN, folder)

@@ -34,7 +34,7 @@ def fitted(problem):
     return problem.calibrate(starts=1, progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_linear_model_has_the_spread_of_its_covariance():
     fit = fitted(linear())
     found = fit.robustness(samples=4000, limits={"y": (2.9, math.inf), "w": (9.0, 11.0)}, progress=False)
@@ -57,7 +57,7 @@ def test_a_linear_model_has_the_spread_of_its_covariance():
     pd.testing.assert_frame_equal(again, found.of.samples)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_fitted_parameters_follow_those_that_are_held_though_uncertain():
     found = fitted(linear(held=True)).robustness(samples=4000, progress=False)
     drawn = found.of.samples
@@ -68,7 +68,7 @@ def test_fitted_parameters_follow_those_that_are_held_though_uncertain():
     assert any("drawn from their priors: b" in one for one in found.sentences)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_samples_scatter_as_the_fit_says_where_the_mesh_is_uncertain():
     problem = linear()
     fine = calib.FunctionModel(
@@ -94,7 +94,7 @@ def test_samples_stay_within_limits_and_constraints():
     np.testing.assert_allclose(drawn["a"] + drawn["b"], 2.0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_parameter_over_decades_spreads_by_a_factor():
     k = calib.Parameter("k", 1e5, 1e3, 1e7, scale="log")
     model = calib.FunctionModel("log", calib.ParameterSpace((k,)), lambda v: {"y": math.log(v["k"]), "z": v["k"]})

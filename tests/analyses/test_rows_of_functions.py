@@ -140,7 +140,7 @@ def bare_chain(seed, hidden, fault="", offset=(0.0, 0.0)):
     return decide(hypotheses_of(model, targets, space, study.candidates, repeats=10), Settings(budget=np.inf))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("seed", "fault", "offset", "effect"),
     [

@@ -97,7 +97,7 @@ def test_asking_for_derivatives_costs_one_call_of_the_function():
     assert [set(call) - set(SPACE.names) for call in TOLD] == [set(), {"slack", *(p.parameter for p in SPRINGS)}]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("wrong", [lambda out: out | {"d(sag_first)/d(slack)": float("nan")}, lambda out: 1 / 0])
 def test_a_function_that_fails_to_derive_is_differenced(wrong):
     def failing(v):
@@ -151,7 +151,7 @@ def test_wrong_parts_are_refused(parts, words):
         FunctionModel("arms", SPACE, sag, parts=parts())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_wrong_part_of_a_function_is_proposed():
     problem = calib.Problem(model(), measurement())
     first = problem.explain([], seed=1, progress=False).propose().table.iloc[0]

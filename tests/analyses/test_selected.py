@@ -59,7 +59,7 @@ def selected(here):
     return of
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(("yes", "no"), [("WAHR", "FALSCH"), ("TRUE", "FALSE"), ("vrai", "faux"), ("1", "0")])
 def test_a_selection_saved_by_a_spreadsheet_is_read(selected, yes, no):
     semicolons = lambda text: "\ufeff" + text.replace(",", ";").replace("\n", "\r\n")  # noqa: E731
@@ -67,7 +67,7 @@ def test_a_selection_saved_by_a_spreadsheet_is_read(selected, yes, no):
     assert selected([yes, no, yes]) == ("a", "c")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("flags", "names"),
     [
@@ -85,7 +85,7 @@ def test_an_ambiguous_selection_is_refused(selected, flags, names):
         selected(flags, names)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("quick", [True, False])
 def test_a_calibration_of_one_case_is_stale_with_its_selection(selected, quick):
     root, study = Path("results"), LoadedStudy.load(Path("plain"))
@@ -125,7 +125,7 @@ def test_a_selection_of_an_earlier_state_is_refused(selected, capsys, file, old,
     assert cli.execute(["calibrate", "plain", "--workers", "1"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("quick", [[], ["--quick"]])
 def test_a_selection_of_an_interrupted_analysis_is_refused(selected, monkeypatch, capsys, quick):
     ask = [["sensitivity", "plain", "--workers", "1", *quick], ["calibrate", "plain", "--workers", "1", *quick]]

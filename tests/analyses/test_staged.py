@@ -95,7 +95,7 @@ def found(stages, calibrated):
     shutil.copytree(calibrated / "results", "results")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_earlier_study_runs_first_and_its_values_are_held(stages, capsys):
     assert cli.execute(["calibrate", "two"]) == 0
     assert "One comes first: two takes over what it finds." in capsys.readouterr().out
@@ -106,7 +106,7 @@ def test_the_earlier_study_runs_first_and_its_values_are_held(stages, capsys):
     assert study.search_space.free_names == ("c",) and study.sensitivity_space.free_names == ("c",)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_values_in_another_unit_are_refused(found, capsys):
     table, model = Path("results/one/parameters.csv"), Path("two/model.py")
     told = pd.read_csv(table)
@@ -121,7 +121,7 @@ def test_values_in_another_unit_are_refused(found, capsys):
     assert "a is in mm here and in - in one" in said and "study.toml" in said
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_uncertainty_of_the_first_stage_widens_the_second(stages):
     """r = a c and s = b + c, a and b to 0.01 / sqrt(2) each from their sum and difference."""
     assert cli.execute(["calibrate", "two"]) == 0
@@ -133,7 +133,7 @@ def test_uncertainty_of_the_first_stage_widens_the_second(stages):
     assert found == pytest.approx(expected, rel=0.02) and found > 1.2 * std * np.sqrt(known)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_existing_results_are_reused_silently(found, capsys):
     made = Path("results/one/summary.json").stat().st_mtime_ns
     for verb in ("compare", "calibrate"):
@@ -142,7 +142,7 @@ def test_existing_results_are_reused_silently(found, capsys):
     assert Path("results/one/summary.json").stat().st_mtime_ns == made
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("file", "old", "new"),
@@ -178,7 +178,7 @@ def test_results_that_rest_on_adopted_values_are_stale_when_those_change(stages,
     assert cli.execute(["calibrate", "two"]) == 0 and not outdated()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_damaged_results_of_the_earlier_study_make_nothing_stale(stages):
     assert cli.execute(["calibrate", "two"]) == 0
     Path("results/one/summary.json").write_text("{}")
@@ -193,7 +193,7 @@ def test_a_quick_run_accepts_quick_results(stages, capsys):
     assert capsys.readouterr().out.count("One comes first") == 2 and Path("results/one/summary.json").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_quick_run_takes_the_selection_of_a_quick_sensitivity_analysis(stages):
     file = Path("one/study.toml")
     file.write_text(file.read_text().replace('["a", "b"]', '"from sensitivity"') + "[sensitivity]\nsamples = 20\n")
@@ -203,7 +203,7 @@ def test_a_quick_run_takes_the_selection_of_a_quick_sensitivity_analysis(stages)
     assert found.values["a"] == pytest.approx(2.3, abs=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_a_worker_starts_from_holds_the_values_too(found):
     study = _two()
     evaluate = pickle.loads(pickle.dumps(EvaluationSource.of(study, study.problem)))()
@@ -223,7 +223,7 @@ def test_worker_processes_hold_the_values_too(found, monkeypatch):
     assert first == second
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_three_stages(stages):
     write(Path("three"), "Three", ["c"], (("r", 3.45), ("s", 2.7)), ADOPTED.replace("one", "two"))
     assert [f.parent.name for f in earliest_first(Path("three"))] == ["one", "two", "three"]
@@ -236,7 +236,7 @@ def _two():
     return LoadedStudy.load(Path("two"), *values_found(LoadedStudy.load(Path("one")), Path("results")))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_extended_study_holds_the_same_values_in_any_folder(stages):
     for folder in ("one", "two"):
         insert(folder, "selection", 'effects = "effects.py:library"\n')
@@ -276,7 +276,7 @@ def test_invalid_adoptions_are_refused(stages, capsys, change, said, one_sentenc
     assert said in told and "study.toml" in told and one_sentence(told)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_held_parameter_cannot_be_selected(stages, capsys):
     path = Path("two/study.toml")
     path.write_text(path.read_text().replace('["c"]', '["c", "a"]'))
@@ -328,7 +328,7 @@ def test_damaged_results_are_refused_and_left_unchanged(found, capsys, file, dam
     assert file in told.err and one_sentence(told.err) and path.read_text() == damaged
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("file", ["summary.json", "parameters.csv"])
 def test_results_changed_by_somebody_else_are_not_adopted(found, capsys, file, one_sentence):
     """A value within its limits, in a table that can be read."""
@@ -342,7 +342,7 @@ def test_results_changed_by_somebody_else_are_not_adopted(found, capsys, file, o
     assert cli.execute(["calibrate", "one"]) == 0 and cli.execute(["compare", "two"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_selection_changed_by_somebody_else_is_not_used(stages, capsys, one_sentence):
     file = Path("one/study.toml")
     file.write_text(file.read_text().replace('["a", "b"]', '"from sensitivity"') + "[sensitivity]\nsamples = 20\n")

@@ -28,7 +28,7 @@ def asked(start, calls=None, **keys):
     return problem.calibrate(start_population=start, **SMALL, **keys), points
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_designs_of_a_file_come_first_and_sampled_ones_fill_up(tmp_path):
     file = tmp_path / "designs.csv"
     file.write_text("rank;case;a;n\n1;GA1;0,125;4\n2;other;0,75;7\n")

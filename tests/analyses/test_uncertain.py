@@ -37,7 +37,7 @@ def test_a_parameter_that_is_held_at_a_wrong_value_is_taken_for_a_missing_effect
     assert asked("fixed = true")[1].verdict != "nothing_detectable"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_seems_missing_where_that_parameter_is_uncertain_by_as_much(asked):
     study, answer, results = asked("prior_sd = 6.0")
     assert answer.verdict == "nothing_detectable"
@@ -116,7 +116,7 @@ def masses(*, bent=False, selection=("k",), data=(100.0, 50.0, 25.0, 12.5), **ma
     return calib.Problem(model, calib.ResponseTest(measured)).calibrate(list(selection), progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_held_parameter_adds_what_it_shifts():
     """k follows m: with m off by 10 % so is k; the data alone know it to 0.5 %."""
     exact, held = masses(distribution="fixed"), masses(prior_sd=0.1)
@@ -150,7 +150,7 @@ def test_a_shift_that_is_not_linear_is_taken_from_fits_to_either_side():
     assert np.sqrt(near["std_with"] ** 2 - near["std_without"] ** 2) == pytest.approx(10.0 * 3 * 0.002, rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_test_of_the_fit_counts_held_parameters():
     """The offset b is held at 0 and is 3 in truth: the slope alone does not fit."""
     rng = np.random.default_rng(5)
@@ -244,7 +244,7 @@ def test_nobody_is_asked_where_all_is_linear():
     assert held == pytest.approx(np.array([[40.0, 0.0], [0.0, 0.004]]))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(("least", "shift"), [(2.0, 2.1), (4.3, 3.0)])
 def test_a_held_parameter_takes_part_in_a_constraint(least, shift):
     """The truth is a = 1, c = 3. With c held at 0 ± 3 the constraint takes a to its limit, far from the data.

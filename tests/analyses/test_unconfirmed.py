@@ -34,7 +34,7 @@ def contradicted(mast, edited, tmp_path_factory):
     return study, results, explain(study, results)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_that_held_out_data_contradict_is_not_named(contradicted, guyed):
     _, results, answer = contradicted
     assert answer.verdict == "unconfirmed" and guyed[2].verdict == "effect"
@@ -50,7 +50,7 @@ def test_an_effect_that_held_out_data_contradict_is_not_named(contradicted, guye
     assert set(pd.read_csv(results.path / "errors.csv")["stage"]) == {"before", "attempt"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_unconfirmed_effect_is_not_added(contradicted, tmp_path):
     found = contradicted[2].explanation
     assert to_add(found) is None

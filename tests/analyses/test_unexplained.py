@@ -69,7 +69,7 @@ def calibrated(mast, tmp_path, hidden):
     return calib.Study.load(mast.write_study(tmp_path / "mast", hidden), results=tmp_path / "r", progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_rejected_calibration_gives_intervals_that_know_of_the_misfit(mast, tmp_path):
     study = calibrated(mast, tmp_path, {"guy": 12000.0})
     fit = study.problem.calibrate(starts=1, progress=False)
@@ -87,7 +87,7 @@ def test_a_rejected_calibration_gives_intervals_that_know_of_the_misfit(mast, tm
         assert segment[:, 0] * (space[name].upper - space[name].lower) == pytest.approx(ends, rel=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_calibration_that_fits_has_the_intervals_of_the_fit_alone(mast, tmp_path):
     fit = calibrated(mast, tmp_path, None).problem.calibrate(starts=1, progress=False)
     assert fit.statistics.fits and fit.calibration.with_misfit is None

@@ -123,7 +123,7 @@ def test_a_standard_deviation_from_few_repeats_is_uncertain(study, fit):
     assert few.loc["fit", "p"] != pytest.approx(known, abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_leave_one_mode_out_errors_match_refits(study, fit):
     """Five refits, each mode predicted by the fit to the other four."""
     total, count = 0.0, 0
@@ -146,7 +146,7 @@ def test_a_correct_model_shows_about_what_is_expected_in_all_groups(study, fit):
     assert (abs(table["rms"] / table["expected"] - 1) < 0.5).all() and (table["p"] > 0.001).all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wrong_model_shows_more_than_expected(mast, tmp_path):
     """Shapes at two held-out sensors are insensitive to a platform; all other data are not."""
     study = LoadedStudy.load(held(mast.write_study(tmp_path / "mast", {"platform": 30.0}, seed=3)))

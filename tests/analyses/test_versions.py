@@ -44,7 +44,7 @@ def answered(chain, tmp_path):
     return tmp_path / "results"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_versions_are_listed_oldest_first_with_their_effects(chain, tmp_path):
     root = tmp_path / "results"
     for k, study in enumerate(chain):
@@ -62,7 +62,7 @@ def test_versions_are_listed_oldest_first_with_their_effects(chain, tmp_path):
     assert list(middle["study"].unique()) == ["mast", "mast_2"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_version_that_was_only_explained_has_the_errors_of_its_base_model(chain, tmp_path):
     root = tmp_path / "results"
     answers(root, "mast", 5.0, "errors")
@@ -74,7 +74,7 @@ def test_a_version_that_was_only_explained_has_the_errors_of_its_base_model(chai
     assert 0.1 not in set(table["rms"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_version_without_results_is_left_out_and_keeps_its_number(chain, tmp_path):
     root = tmp_path / "results"
     answers(root, "mast", 5.0)
@@ -85,7 +85,7 @@ def test_a_version_without_results_is_left_out_and_keeps_its_number(chain, tmp_p
     assert found.notes == (f"Version 2 (mast_2) has no up-to-date errors under {root}: run '{command}'.",)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_any_results_nothing_is_written(chain, tmp_path):
     found = write_versions(chain[-1], tmp_path / "results")
     table = found.table
@@ -94,21 +94,21 @@ def test_without_any_results_nothing_is_written(chain, tmp_path):
     assert not list(tmp_path.rglob("versions.csv"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_without_a_base_has_no_versions(chain, tmp_path):
     answers(tmp_path / "results", "mast", 5.0)
     found = write_versions(chain[0], tmp_path / "results")
     assert found.table.empty and found.notes == () and not list(tmp_path.rglob("versions.csv"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_base_study_with_the_same_effects_is_not_a_version(chain, answered, tmp_path):
     (tmp_path / "apart").mkdir()
     (tmp_path / "apart/study.toml").write_text('title = "the same model"\nbase = "../mast_3"\n')
     assert write_versions(LoadedStudy.load(tmp_path / "apart"), answered).table.empty
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_earlier_version_may_be_a_study_file_of_another_name(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     (folder / "study.toml").rename(folder / "second.toml")
@@ -130,7 +130,7 @@ def test_a_command_to_type_names_a_study_by_its_folder_and_quotes_it():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_errors_on_another_measurement_are_left_out(chain, answered):
     first, second, _ = chain
     write_record(first, Results.at(answered, "mast"), "calibrate", {})
@@ -143,7 +143,7 @@ def test_errors_on_another_measurement_are_left_out(chain, answered):
     assert set(found.table["version"]) == {2} and len(found.notes) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_stale_errors_of_a_version_are_left_out(chain, answered):
     first, second, _ = chain
     results = Results.at(answered, "mast")

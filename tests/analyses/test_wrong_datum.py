@@ -42,7 +42,7 @@ def test_a_wrong_frequency_is_indistinguishable_from_the_effect_that_explains_it
     assert found.datum.in_words in answer.sentence and f"measure the {BAD}" in answer.sentence
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_summary_names_the_datum(spoilt):
     _, results, answer = spoilt
     datum = json.loads((results.path / "explanation.json").read_text("utf-8"))["wrong_datum"]
@@ -50,7 +50,7 @@ def test_the_summary_names_the_datum(spoilt):
     assert datum["ln_bayes"] == answer.explanation.datum.ln_evidence - answer.explanation.base.ln_evidence
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_added_for_a_wrong_frequency(spoilt, tmp_path):
     study, _, answer = spoilt
     assert to_add(answer.explanation) is None

@@ -13,7 +13,7 @@ from models.four_storey_rig import four_storey_rig
 MEASURED = Path(__file__).resolve().parents[2] / "studies/four_storey_rig/measured.csv"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_held_out_mode_beyond_the_requested_ones_is_solved_for_its_verification():
     modes, model = calib.read_modes(MEASURED, repeats=100, std_of="repeat"), four_storey_rig()
     test = calib.ModalTest(modes, held_out=modes.names[-1:], mode_count=3, override={modes.names[-1]: 4})

@@ -41,7 +41,7 @@ def same(mine, own, numbers=1e-7, least=1e-12):
     pd.testing.assert_frame_equal(mine, own, check_exact=False, rtol=numbers, atol=least)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_comparison_is_the_same(doors):
     study, problem = doors
     own, mine = study.compare(), problem.compare()
@@ -49,7 +49,7 @@ def test_a_comparison_is_the_same(doors):
     assert [a.answer for a in mine.by_test.values()] == [a.answer for a in own.by_test.values()]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_calibration_is_the_same(doors):
     study, problem = doors
     own, mine = study.calibrate().of, problem.calibrate(progress=False)
@@ -87,7 +87,7 @@ VERBS = {
 }
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "verb", ["compare", "calibrate", *(pytest.param(v, marks=pytest.mark.slow) for v in ("sensitivity", "explain"))]
@@ -107,7 +107,7 @@ def test_the_command_and_python_print_the_same(verb, tmp_path, capsys):
     assert all(line.split(": ")[-1].startswith("calib ") for line in typed)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_set_ups_are_suspected_from_both_doors(tmp_path):
     folder = shutil.copytree(STUDIES / "hidden_bogie", tmp_path / "bogie")
     file = folder / "study.toml"
@@ -130,7 +130,7 @@ def test_every_key_that_steers_an_analysis_is_an_argument():
     assert set(ExplainSettings.model_fields) == explain | {"finer_options"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_key_of_a_study_holds_in_its_problem_until_an_argument_replaces_it(tmp_path):
     write_example(tmp_path / "mast")
     file = tmp_path / "mast/study.toml"
@@ -156,7 +156,7 @@ def levers():
 """Measured at k = 3, a = 2 and b = 5."""
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_integers_are_searched_alike_from_both_doors(tmp_path):
     """Two positions with 49 combinations: a search finds them, where every start would walk to them for itself."""
     folder = tmp_path / "levers"
@@ -183,7 +183,7 @@ def test_integers_are_searched_alike_from_both_doors(tmp_path):
     assert len(calls) < 300
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_held_out_data_that_contradict_are_printed_in_python_too():
     """Two stiffnesses fit two frequencies of a chain exactly; the third, which no fit saw, is far off."""
     parameters = [calib.Parameter(name, 10.0, 1.0, 90.0, "kN/m") for name in ("k1", "k2")]

@@ -73,7 +73,7 @@ def measured(tmp_path):
     return home
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_writes_a_study_that_compares_at_once(measured, tmp_path, capsys, monkeypatch, undrawn):
     monkeypatch.chdir(tmp_path)
     for name in ("solid.sti", "solid.mas", "solid.dof", "solid.inp"):

@@ -16,7 +16,7 @@ NOMINAL = {"k": 2.0, "m": 1.5, "t": 1.0}
 FRESH = {"k": 2.9, "m": 1.1, "t": 0.8}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_matrices_of_runs_have_the_modes_of_the_solver(tmp_path):
     folder = study(tmp_path / "chain")
     found = calib.import_matrices(folder, to=tmp_path / "affine")
@@ -49,7 +49,7 @@ def test_calibrated_values_go_back_into_the_deck(tmp_path):
     assert "k,2." in written[2].read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_parameter_without_its_powers_stays_and_is_told(tmp_path):
     folder = study(tmp_path / "chain", text=STUDY.replace("powers = [-1, 1, 2, 3]", "powers = [1]"))
     found = calib.import_matrices(folder, to=tmp_path / "affine")

@@ -43,7 +43,7 @@ def test_a_mode_found_twice_is_checked_first(extra):
     assert one.sentence in found.doubts and one.sentence in found.hints
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_that_are_found_once_are_not_doubted():
     assert compared(modes(None)).found_twice == ()
     assert compared(modes(2, freq_ratio=1.05)).found_twice == ()  # as a small mass on a spring splits a mode

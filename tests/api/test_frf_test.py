@@ -101,7 +101,7 @@ def test_held_out_data_contradict_a_model_that_lacks_something(lacking):
     assert (errors.loc[GROUPS, "rms"] > 10 * errors.loc[GROUPS, "expected"]).all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_held_out_data_enter_no_fit(right):
     frfs = WORLD.measured(1)
     test = calib.FRFTest(frfs, **HELD_OUT)
@@ -120,7 +120,7 @@ def test_held_out_data_enter_no_fit(right):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_test_of_modes_and_one_of_frfs_inform_one_fit():
     model, frfs = WORLD.chain(), WORLD.measured(3, share=0.1, floor=0.02)
     shaken, tapped = calib.FRFTest(frfs, name="shaken"), calib.ModalTest(WORLD.modes(5), name="tapped")
@@ -138,7 +138,7 @@ def test_a_test_of_modes_and_one_of_frfs_inform_one_fit():
 # -- explanation -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     assert explained.verdict == "effect" and [e.name for e in explained.named] == ["ground_2"]
     row = explained.table.set_index("name").loc["ground_2"]
@@ -149,7 +149,7 @@ def test_a_hidden_spring_is_named_with_its_stiffness(explained):
     assert ".predictions" not in explained.lines["Evidence"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_candidate_measurement_takes_information_away(explained):
     """Both sensors in use are forces already, of which one is held out: there is none to add."""
     table = explained.explanation.tables["next_measurement"]
@@ -160,7 +160,7 @@ def test_no_candidate_measurement_takes_information_away(explained):
         assert own[f"{held}, validation data so far"] > 1.01
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_named_where_nothing_is_missing(right):
     found = right.explain(WORLD.effects(), progress=False)
     assert found.verdict == "nothing_detectable" and not found.named
@@ -187,7 +187,7 @@ def wrong_channel():
     return replace(frfs, values=frfs.values * factor, std=frfs.std * factor)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wrong_channel_is_found_and_counts_on_held_out_data(wrong_channel):
     bands = {"held_out_bands": [(20.0, 26.0)]}
     plain = by_group(problem_of(wrong_channel, **bands).calibrate(starts=1, progress=False).errors)
@@ -266,7 +266,7 @@ def test_only_a_model_with_matrices_has_frfs():
         calib.FRFTest(WORLD.modes(1))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_prior_of_a_held_out_channel_widens_what_is_expected_there():
     """Its gain is off by twice its prior: no fit can know, and the data do not contradict the model."""
     data = WORLD.measured(3)

@@ -68,7 +68,7 @@ def test_modes_are_compared_and_fitted_as_in_the_study(rig, tmp_path):
     assert fit.compare().table["freq_error"].abs().max() < 1e-3
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("discriminated", [False, True])
 def test_a_parameter_is_identified_where_starts_that_fit_equally_well_agree(discriminated, unrendered, tmp_path):
     """Both roots of ``y = 1`` fit; only an accurate z discriminates between them."""
@@ -138,7 +138,7 @@ def oscillator():
     return calib.FunctionModel("oscillator", space, lambda v: {"w2": 1e3 * v["k"] / (v["m"] + v["load"])})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_conditions_hold_for_their_test_only():
     tests = [
         calib.ResponseTest({"w2": (1e3 * 40 / (10 + x), 1.0)}, name=f"{x}", condition={"load": x}) for x in (0, 25)
@@ -172,7 +172,7 @@ def test_parameters_that_are_not_kept_hold_one_value_in_all_joined_problems():
     assert fit.compare().table.set_index("test")["model"]["scale"] == 7.0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_joined_problems_share_parameters_by_name():
     first = calib.Problem(oscillator(), calib.ResponseTest({"w2": (4000.0, 4.0)}, name="free", condition={"load": 0.0}))
     scale = calib.FunctionModel(
@@ -217,7 +217,7 @@ def test_results_print_their_table_with_every_number(rig):
     assert "<table" in fit._repr_html_() and "\n" not in repr(fit) + repr(rig) + repr(found)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_explanation_prints_its_answer_first(explained):
     answer, lines = explained.explanation.answer, str(explained).split("\n")
     assert [line[10:] for line in lines[:3]] == [answer.found, answer.sure, answer.then]
@@ -255,7 +255,7 @@ def test_what_does_not_fit_together_is_refused(rig, chain, wrong):
         wrong(rig, chain)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_a_named_effect_none_is_added(explained, library):
     again = explained.with_named().explain(library)  # what the model has already is left out
     assert again.verdict == "nothing_detectable" and again.named == ()

@@ -37,7 +37,7 @@ def test_the_answer_says_that_no_library_was_given_and_how_many_were_tested(heav
     assert f" {count} " in note and heavy_floor.settings.libraries == ("generic",)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_same_change_of_a_matrix_is_one_candidate():
     """A spring between two floors is the storey, a mass at a floor is the floor, the support is the first storey."""
     every = compositions(chain(), [measured()], {}).plain
@@ -59,7 +59,7 @@ def test_nothing_dissipates_where_the_model_has_no_damping():
     assert "dissipation" in kinds and damping and not elastic & damping
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_names_that_are_taken_are_left_to_others():
     first = generic_effects(chain(), [measured()])
     taken = [name for effect in first for name in effect.names]

@@ -34,7 +34,7 @@ def both():
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("several", [False, True])
 def test_a_second_run_calls_the_function_for_no_point(several, tmp_path):
     given = both() if several else both()[0]
@@ -89,7 +89,7 @@ def test_conditions_and_functions_have_points_of_their_own(tmp_path):
     np.testing.assert_array_equal(found(0.0), empty)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_residuals_of_modes_are_kept_too(tmp_path):
     modes = calib.read_modes(STUDIES / "four_storey_rig/measured.csv", repeats=100, std_of="repeat")
     fits = []

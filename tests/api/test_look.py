@@ -37,7 +37,7 @@ def frf_table(path, gamma=0.99, scale=1.0):
     path.write_text("\n".join(["freq,response,reference,re,im,coherence", *rows]))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_with_shapes_and_places_are_told_apart_by_their_content(mast, tmp_path, capsys):
     files = [mast / "sensors.csv", mast / "shapes.csv", mast / "modes.csv"]  # in any order
     found = calib.look(files)
@@ -54,7 +54,7 @@ def test_modes_with_shapes_and_places_are_told_apart_by_their_content(mast, tmp_
     assert (tmp_path / "seen/look.png").stat().st_size > 10_000
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_repeats_in_universal_files_have_a_comac_with_the_first():
     files = sorted((STUDIES / "hidden_bogie/measured").glob("*.uff"))[:3]
     found = calib.look(files)

@@ -138,7 +138,7 @@ def test_matrices_of_another_code_are_compared_and_calibrated(measured):
     assert fit.parameters["value"]["EI_1"] < 0.85 and fit.statistics.fits
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_measured_shapes_are_expanded_and_checked_from_a_notebook(measured):
     _, modes = measured
     frame = Frame(4)

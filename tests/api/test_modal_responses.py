@@ -150,7 +150,7 @@ def numbers(k, ground, noise, seed=1):
     return {f"freq_{j}": (f * (1 + noise * rng.standard_normal()), noise * f) for j, f in enumerate(freq, 1)}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_missing_spring_is_named_from_frequencies_alone():
     """Of masses 1 to 3 only: the others are alike by symmetry."""
     library = [to_ground(1), to_ground(2), to_ground(3)]

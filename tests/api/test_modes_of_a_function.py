@@ -45,7 +45,7 @@ def test_the_comparison_is_that_of_the_matrices(modal_test):
     pd.testing.assert_frame_equal(mine, other, rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_fit_and_standard_deviations_are_those_of_the_matrices(fits):
     own, theirs = fits[as_function], fits[as_matrices]
     for name in ADOPTED:
@@ -59,7 +59,7 @@ def test_fit_and_standard_deviations_are_those_of_the_matrices(fits):
     pd.testing.assert_frame_equal(own.statistics.predictions, theirs.statistics.predictions, rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_held_out_modes_and_sensors_check_a_function_as_they_check_matrices():
     test = calib.ModalTest(measured(), held_out=["m7", "2y"], mode_count=COUNT)
     own, theirs = (
@@ -85,7 +85,7 @@ def test_several_tests_each_under_its_condition_share_their_parameters():
     assert list(own.errors["test"].unique()) == ["light", "heavy"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_point_is_evaluated_twice(modal_test):
     asked = []
 
@@ -99,7 +99,7 @@ def test_no_point_is_evaluated_twice(modal_test):
     assert len(asked) == len(set(asked)) > 10
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_damping_and_in_another_scale_shapes_are_real(modal_test):
     """The undamped beam, its shapes in an arbitrary scale and sign at every call."""
     rng = np.random.default_rng(1)
@@ -261,7 +261,7 @@ def test_a_function_that_fails_is_a_failed_point(modal_test):
         calib.Problem(model, modal_test).compare()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_function_that_fails_in_places_is_fitted_around_them(modal_test):
     def partly(v):
         if v["m_tip"] > 1.6:

@@ -79,7 +79,7 @@ def test_an_effect_may_wrap_the_function_instead():
         assert found == pytest.approx(1 + magnitude)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "changed",

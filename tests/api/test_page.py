@@ -51,7 +51,7 @@ def test_the_report_holds_every_value(fit, tmp_path):
     assert "Analyses not run" not in text and not re.search(r"""(src|href)=["']http""", text)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_several_tests_have_one_report(unrendered, tmp_path):
     space = calib.ParameterSpace((calib.Parameter("k", 3.0, 1.0, 9.0),))
     model = calib.FunctionModel("spring", space, lambda v: {"u": 1 / v["k"], "w": v["k"] ** 2})
@@ -74,7 +74,7 @@ def test_several_tests_have_one_report(unrendered, tmp_path):
         fit.figure("frequency_errors", test="b")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_cannot_be_drawn_or_written_is_refused(fit, unrendered, tmp_path):
     for name in ("nothing", "mac"):  # no shapes were measured
         with pytest.raises(calib.InputError):

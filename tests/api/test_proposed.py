@@ -35,7 +35,7 @@ def case(request):
     return problem, why, why.propose(), right
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_kind_place_and_magnitude_are_those_of_the_truth(case):
     _, why, proposed, (kinds, at, true, height) = case
     assert why.verdict == "none_explains"
@@ -49,7 +49,7 @@ def test_kind_place_and_magnitude_are_those_of_the_truth(case):
     assert "Proposed: " in str(proposed) and first["title"][1:] in str(proposed)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_extended_model_fits_and_predicts_what_was_held_out(case):
     problem, _, proposed, _ = case
     (first, *_) = proposed.effects
@@ -60,7 +60,7 @@ def test_the_extended_model_fits_and_predicts_what_was_held_out(case):
         assert rms.loc[group, "after"] < 0.7 * rms.loc[group, "before"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_written_code_builds_what_was_fitted(case):
     _, _, proposed, _ = case
     scope = {}
@@ -87,7 +87,7 @@ def padded(model, like):
     return [np.pad(m.toarray(), (0, more)) for m in model.matrices({})]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_kind_of_composition_is_written_as_it_is_built():
     model, seen = chain(), measured(mass=[(4, 300.0)])
     own = compositions(model, [seen], model.space.values)
@@ -111,7 +111,7 @@ class _Fitted:
         self.values = {composed.effect.name: composed.effect.magnitude.upper / 9}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_proposed_where_nothing_is_missing():
     why = posed().explain([], seed=1)
     proposed = why.propose()
@@ -120,7 +120,7 @@ def test_nothing_is_proposed_where_nothing_is_missing():
     assert "Nothing is proposed: nothing seems missing." in str(proposed)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_proposed_where_the_measurement_is_to_blame():
     modes = measured()
     shapes = modes.shapes.copy()
@@ -132,7 +132,7 @@ def test_nothing_is_proposed_where_the_measurement_is_to_blame():
     assert proposed.effects == () and "the measurement is the suspect, gain of sensor 3x" in str(proposed)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_named_effect_leaves_nothing_to_propose(case):
     problem, _, proposed, _ = case
     again = problem.explain(proposed.effects[:1], seed=1).propose()
@@ -155,7 +155,7 @@ def test_a_hung_mass_is_neutral_without_mass():
     assert found.natural_freq[:4] == pytest.approx(model.modes({}, 4).natural_freq, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_several_models_are_refused():
     one = calib.Problem(chain(), calib.ModalTest(measured(mass=[(4, 300.0)]), name="one"))
     two = calib.Problem(

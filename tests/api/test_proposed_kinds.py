@@ -46,7 +46,7 @@ def test_a_change_beyond_the_plausible_size_is_fitted_from_there_too(softened, m
     assert first == pytest.approx(-model_rules.RULES.relative) and others and min(others) < -model_rules.RULES.relative
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_ranks_and_equals_follow_one_threshold(softened):
     proposals = softened.propose().result.proposals
     evidence = np.array([p.evidence for p in proposals.ranked])

@@ -100,7 +100,7 @@ def test_without_dependence_on_the_level_nothing_is_named(tmp_path):
     assert why.verdict == "nothing_detectable" and not why.named
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_level_of_two_tests_gives_the_share_that_is_lost(tmp_path):
     """A fit without a search; at one level the share is that of the mounts' own stiffness, and not identified."""
     problem = at_two_levels(tmp_path, 12, high=lambda lam: 1 - 0.08)

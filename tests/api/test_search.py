@@ -81,7 +81,7 @@ def test_a_search_is_that_of_the_study(rig, chain, name, tmp_path):
         assert fit.values[name] == pytest.approx(value, rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "make",
     [
@@ -104,7 +104,7 @@ def test_an_executor_changes_nothing(rig, make):
     pd.testing.assert_frame_equal(samples, rig.sensitivity(STOREYS, samples=40).samples, check_exact=True)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_least_squares_follow_from_where_the_cases_ended(rig, found):
     assert list(found.search.table["asked"]) == [SIZE["population"] * SIZE["generations"]] * 2
     assert [case.misfit for case in found.search.best] == sorted(found.search.table["misfit"])
@@ -116,7 +116,7 @@ def test_least_squares_follow_from_where_the_cases_ended(rig, found):
     assert rig.keep(STOREYS).calibrate(starts=1).search is None
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_tests_are_searched_together_each_under_its_condition():
     problem = weighed()
     with ThreadPoolExecutor(2) as threads:
@@ -127,7 +127,7 @@ def test_tests_are_searched_together_each_under_its_condition():
     assert (fit.values["k"], fit.values["m"]) == pytest.approx((40, 10), rel=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_joined_problems_are_searched_together(rig):
     space = calib.ParameterSpace((rig.model.space["k1"],))
     spring = calib.FunctionModel("spring", space, lambda v: {"stiffness": v["k1"]})
@@ -148,7 +148,7 @@ def test_integers_are_searched():
     assert fit.values["n"] == 7 and fit.values["x"] == pytest.approx(0.5, abs=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_points_that_fail_are_counted_and_told():
     def fragile(v):
         if v["k"] > 60:
@@ -170,7 +170,7 @@ def test_points_that_fail_are_counted_and_told():
 # -- sensitivity -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", ["four_storey_rig", "five_mass_chain"])
 def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
     study = LoadedStudy.load(STUDIES / name)
@@ -190,7 +190,7 @@ def test_measures_are_those_of_the_study(rig, chain, name, tmp_path):
     assert found.answer.noise_floor == own.noise_floor
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_matters_is_selected_and_can_be_fitted():
     def lever(v):
         return {"a": v["p"] ** 3 + 0.2 * v["q"], "b": v["q"]}

@@ -93,7 +93,7 @@ def test_a_wrong_result_shows_the_function_that_gave_it(act):
     assert caught.value.at == place and f"{place.line} | {place.text}" in caught.value.__notes__[-1]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("wanted", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_a_study_shows_its_stage_unless_told_otherwise(cell, wanted, tmp_path, unrendered):
     write_example(tmp_path / "mast")

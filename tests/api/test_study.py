@@ -34,7 +34,7 @@ def rig(no_drawing, tmp_path_factory):
     return study, answers, root
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_gives_the_results_of_the_command(rig):
     study, (_, sensitivity, calibrated), root = rig
     for name in ("selection.csv", "verdicts.csv", "parameters.csv"):
@@ -46,7 +46,7 @@ def test_a_study_gives_the_results_of_the_command(rig):
     np.testing.assert_allclose(calibrated.table.set_index("parameter")["std"], told["std"], rtol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_posterior_correlation_is_that_of_the_covariance(rig):
     calibrated = rig[1][2]
     table = pd.read_csv(calibrated.folder / "posterior_correlation.csv").set_index("parameter")
@@ -59,7 +59,7 @@ def test_the_posterior_correlation_is_that_of_the_covariance(rig):
         assert table.loc[row["parameter_a"], row["parameter_b"]] == pytest.approx(row["correlation"])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_is_shown_is_in_the_table(rig):
     compared, _, calibrated = rig[1]
     assert all(f"{value:.3f}" in str(compared) for value in compared.table["natural_freq_model"])

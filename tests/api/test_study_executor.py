@@ -161,7 +161,7 @@ def teams(monkeypatch):
     return seen
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("workers", [1, 2, None])
 def test_those_who_compute_draw_too(tmp_path, teams, workers):

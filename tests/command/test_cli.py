@@ -135,7 +135,7 @@ def test_quick_and_single_cases_leave_the_whole_run_alone(mast):
     assert Path("results/mast/quick/comparison_before.csv").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_repeated_command_solves_nothing_twice_and_gives_the_same_result(answered):
     first = {
         n: Path("results/mast", n).read_bytes() for n in ("parameters.csv", "comparison_after.csv", "convergence.csv")
@@ -146,7 +146,7 @@ def test_a_repeated_command_solves_nothing_twice_and_gives_the_same_result(answe
     assert rows == sqlite3.connect("results/mast/ledger.sqlite").execute("select count(*) from evaluation").fetchone()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_changed_measurement_makes_old_rows_stale_and_says_so(answered, capsys):
     modes = Path("mast/modes.csv").read_text().replace("1.7117", "1.7217")
     Path("mast/modes.csv").write_text(modes)
@@ -213,7 +213,7 @@ def test_a_single_analysis_writes_no_report_but_updates_an_older_one(mast, drawn
     assert cli.execute(["compare", "mast"]) == 0 and "Mode by mode before calibration" in told.read_text("utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_go_where_they_are_told(mast):
     assert cli.execute(["compare", "mast", "--results", "out/here"]) == 0
     assert Path("out/here/mast/comparison_before.csv").exists() and not Path("results").exists()
@@ -234,7 +234,7 @@ def test_the_measured_rig_without_shapes(here, drawn, unrendered, capsys):
     assert json.loads(Path("results/rig/quick/summary.json").read_text())["mean_mac_after"] is None
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "report", "run"])
 def test_every_command_reads_and_checks_every_file(mast, verb, capsys, one_sentence):
     assert cli.execute(["compare", "mast"]) == 0
@@ -279,7 +279,7 @@ def test_unexpected_failures_leave_their_traceback_in_a_log(mast, capsys, monkey
     assert "Traceback" in Path("calib-error.log").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_help_texts_read_well(capsys):
     assert cli.execute(["--help"]) == 0
     assert "..." not in capsys.readouterr().out.replace("[ARGS]...", "")
@@ -337,7 +337,7 @@ def build():
 """
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
 def test_integers_have_no_standard_deviation(here, capsys, method):
     """Only their integer values have a meaning; the neighbouring ones fit millions of times worse here."""

@@ -89,7 +89,7 @@ def plain(text):
     return re.sub(r"\x1b\[[0-9;]*m", "", text)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("verb", ["compare", "sensitivity", "calibrate", "explain"])
 def test_an_answer_in_four_lines_comes_first_and_is_that_of_the_record(guyed, capsys, verb):
@@ -154,7 +154,7 @@ def test_long_text_is_wrapped_between_words_on_a_terminal_only(wide, capsys):
     assert all(line.startswith(" " * terminal.LABEL) for line in lines[1:])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_was_found_is_told_even_if_a_later_step_fails(guyed, monkeypatch, capsys):
     monkeypatch.setattr("calib.analyses.sensitivity.sensitivity", lambda *given: 1 / 0)
     assert cli.execute(["run", "mast", "--workers", "1"]) == 1

@@ -27,7 +27,7 @@ def refused(capsys, one_sentence):
     return check
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanation):
     edit(guyed, 'effects = "effects.py:library"\n', "")
     assert cli.execute(["explain", "mast", "-v"]) == 0
@@ -37,7 +37,7 @@ def test_a_study_without_effects_is_told_the_place(guyed, capsys, edit, explanat
     assert "0 effects" in capsys.readouterr().out
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_model_that_has_all_effects_lacks_nothing_more(guyed, edit, explanation):
     edit(guyed, "selection =", 'with_effects = ["lamp", "platform", "guy", "stuck_base"]\nselection =')
     text = (guyed / "study.toml").read_text()
@@ -90,7 +90,7 @@ def test_an_unknown_effect_is_no_extension(guyed, refused, files):
     assert not Path("mast_2").exists() and files(".") == before and not list(Path().glob(".calib*"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_in_the_model_is_no_extension(guyed, refused):
     assert cli.execute(["extend", "mast", "guy", "--into", "mast_2"]) == 0
     refused(["extend", "mast_2", "guy", "--into", "mast_3"], "in the model already", "the effects it lacks are")

@@ -44,13 +44,13 @@ def table(ran):
     return lambda name: pd.read_csv(ran[0] / f"results/chain/{name}.csv")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", COLUMNS)
 def test_tables_have_their_columns(table, name):
     assert list(table(name).columns) == COLUMNS[name]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_files_are_read_as_they_were_written(table):
     repeats = WORLD.repeats_of(WORLD.truth(WORLD.TRUE, ground=WORLD.HIDDEN), 2)
     used = (WORLD.FREQ < 20.0) | (WORLD.FREQ > 26.0)
@@ -65,7 +65,7 @@ def test_the_files_are_read_as_they_were_written(table):
     assert (overlay["std"] > 0).all() and len(overlay) == 2 * LINES == 2 * len(table("frf_lines_before"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_comparison_agrees_with_the_functions_it_is_of(table):
     overlay, found = table("frf_before"), table("comparison_before")
     for row in found.to_dict("records"):

@@ -17,7 +17,7 @@ sys.exit(code)
 """
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("arguments", [["--version"], ["--help"], ["run", "--help"], ["frobnicate"]])
 def test_nothing_that_computes_is_imported_to_tell_the_version_or_the_options(arguments):

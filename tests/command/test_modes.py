@@ -73,7 +73,7 @@ def test_a_refused_mode_is_kept_on_request_and_the_reason_travels(tmp_path, caps
     assert {"mpc", "mpd"} <= set(table.columns) and table["freq_std"].notna().all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_never_go_where_other_files_are(chain, capsys):
     before = sorted(chain.iterdir())
     assert asked(*chain.glob("repeat_*.uff"), "--into", chain) == 2

@@ -56,7 +56,7 @@ def test_what_records_do_not_have_is_refused(tmp_path, capsys, given, word):
     assert word in said and "Traceback" not in said and not (tmp_path / "identified").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_short_and_mixed_files_are_refused(tmp_path, capsys):
     path = AMBIENT.write_csv(tmp_path / "record.csv", AMBIENT.accelerations(CHAIN, 2000, 1))
     assert asked(path, "--into", tmp_path / "identified") == 2

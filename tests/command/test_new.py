@@ -15,7 +15,7 @@ def test_every_kind_is_a_study_that_loads_and_says_that_it_is_computed(tmp_path,
     assert study.synthetic and "$" not in (tmp_path / "mine/study.toml").read_text("utf-8")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_example_of_every_kind_is_calibrated_to_what_was_hidden(tmp_path, monkeypatch, undrawn, kind):
     monkeypatch.chdir(tmp_path)

@@ -106,7 +106,7 @@ class Recorder(Listener):
         return nullcontext(lambda stage, done=0, total=0, best=0: self.told.append((stage, done, total)))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("method", ["genetic", "gauss-newton"])
 def test_every_part_of_a_calibration_tells_how_far_it_is(guyed, edit, undrawn, method):

@@ -142,7 +142,7 @@ def ran(request, world, asked, no_drawing, tmp_path_factory):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_folder_compares_the_numbers_that_a_notebook_does(ran):
     stored = pd.read_csv(ran.of / "comparison_before.csv").set_index("response")
     told = ran.problem.compare().table.set_index("response")
@@ -151,13 +151,13 @@ def test_the_folder_compares_the_numbers_that_a_notebook_does(ran):
     np.testing.assert_allclose(stored["error_in_std"], told["error_in_std"], rtol=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_parameter_matters_to_some_number(ran):
     chosen = pd.read_csv(ran.of / "selection.csv").set_index("parameter")
     assert set(chosen.index[chosen["selected"]]) == {"k1", "k3", "b"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_search_and_least_squares_end_where_a_notebook_does(ran):
     fitted = pd.read_csv(ran.of / "verdicts.csv").set_index("parameter")["value"]
     found = ran.problem.calibrate(starts=1, progress=False).values
@@ -165,7 +165,7 @@ def test_the_search_and_least_squares_end_where_a_notebook_does(ran):
         assert fitted[name] == pytest.approx(found[name], rel=2e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_missing_cable_is_named_and_held_out_damping_agrees(ran):
     answer = json.loads((ran.of / "explanation.json").read_text("utf-8"))
     assert answer["verdict"] == "effect" and answer["credible_set"] == ["cable_2"]
@@ -180,7 +180,7 @@ def test_the_missing_cable_is_named_and_held_out_damping_agrees(ran):
     assert "about 1" in ran.said["explain"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_local_perturbations_are_those_of_matrices_or_of_responses(ran):
     names = set(pd.read_csv(ran.of / "perturbations.csv")["perturbation"])
     told = set(ran.problem.explain(ran.effects, progress=False).explanation.tables["perturbations"]["perturbation"])

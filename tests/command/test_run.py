@@ -149,7 +149,7 @@ def test_an_interrupted_run_is_completed_by_the_same_command(within, monkeypatch
     assert tables(Path("results")) == whole
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_later_analysis_removes_what_rested_on_the_earlier_one(within):
     assert cli.execute(["calibrate", "mast", "--quick", "--workers", "1"]) == 0
     assert not list(FOLDER.glob("added*"))

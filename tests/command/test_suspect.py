@@ -41,7 +41,7 @@ def named(explanation, blamed, sensor, magnitude):
     assert f"sensor {sensor}" in told["sentences"][0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_gain_is_named_and_its_correction_taken_while_the_files_stay(faulty, explanation, edit, capsys):
     faulty("3z", lambda by: 1.2 * by["3z"])
     before = Path("mast/shapes.csv").read_bytes()
@@ -88,7 +88,7 @@ def test_a_missing_effect_is_no_fault_of_the_measurement(here, write_study, expl
     assert explanation()["blamed"] == [] and not table()["blamed"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "seed", [11, pytest.param(12, marks=pytest.mark.slow), pytest.param(13, marks=pytest.mark.slow)]
 )

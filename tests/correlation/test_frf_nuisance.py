@@ -180,7 +180,7 @@ def test_a_mass_moves_in_all_translations_that_the_model_has():
     assert np.count_nonzero(np.abs(panel.translations(Sensor(1, "z", (0.0, -0.2, 0.0)))).sum(axis=1)) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_reduced_model_bears_loads_and_another_model_keeps_the_nuisances():
     panel = solar_panel()
     space = panel.space.keep(GROUPS[:2])
@@ -200,7 +200,7 @@ def test_a_reduced_model_bears_loads_and_another_model_keeps_the_nuisances():
     assert np.abs(exact / bare - 1.02).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_with_its_own_motion_goes_with_nuisances_of_the_test():
     """A hung mass adds a degree of freedom and has a root of its mass: at mass 0 too its derivative is that nearby."""
     panel = solar_panel()

@@ -49,7 +49,7 @@ def elsewhere(model, responses, references, values=None):
     return FRFProblem(model, data).functions(values or {})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_axis_that_matters_has_a_parameter(bogie):
     """Beams: a vertical sensor on a girder along x feels its slope; across it, the arm to its axis turns with it."""
     found = place_nuisances(empty(), SD, bogie)
@@ -60,7 +60,7 @@ def test_every_axis_that_matters_has_a_parameter(bogie):
     assert all((p.unit, p.value, p.prior_sd) == ("mm", 0.0, SD) for p in (e.parameter for e in found))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", ["place_x_1y", "place_z_2x", "place_y_4x", "place_x_3y"])
 def test_a_place_is_that_of_a_transducer_there(bogie, name):
     """Force and sensor of one name move together; what is left is of second order."""
@@ -79,7 +79,7 @@ def test_a_place_is_that_of_a_transducer_there(bogie, name):
         assert (np.abs(true - nominal).max(axis=(0, 2)) > 0).sum() == (3 if name[8:] in ("1y", "4x") else 1)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_derivatives_are_those_of_differences(bogie):
     """Beside those of the model and of a channel, in any order."""
     nuisances = (ChannelError("gain", "2x"), *place_nuisances(empty(), SD, bogie))
@@ -107,7 +107,7 @@ def test_stated_places_change_nothing(bogie):
     assert freed.fingerprint != plain.fingerprint and freed.rows == plain.rows
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     """Sensors 4 mm off by simulation: without their places the fit is contradicted, and a stiffness goes wrong."""
     rng = np.random.default_rng(4)
@@ -131,7 +131,7 @@ def test_distances_are_found_and_a_parameter_is_no_longer_pulled(bogie):
     assert misfit["places"] < 1.3 and misfit["none"] > 5
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_basis_serves_displaced_transducers(bogie):
     """It holds the moments of displaced forces: the drive point is as accurate as it is at its stated place."""
     data = empty(std=2e-6)

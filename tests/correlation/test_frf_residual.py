@@ -61,7 +61,7 @@ def test_derivatives_are_those_of_differences(residual):
     assert residual.jacobian(TRUE, ()).shape == (720, 0)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_at_the_truth_it_is_standard_normal():
     chi = []
     for seed in range(30):

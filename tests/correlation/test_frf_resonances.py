@@ -176,7 +176,7 @@ def test_nothing_is_shared_without_a_claim_and_where_it_is_fitted(pair):
     assert FRFResidual(FRFProblem(pair, claimed, errors[:2])).shared_errors.shape == (rows, 2)  # of the other resonance
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_interval_knows_what_lines_share_where_nothing_is_fitted_for_it(pair):
     """Resonances are off by what is claimed: k scatters as widely as its standard deviation with these errors."""
     rng, pulls, narrow = np.random.default_rng(2), [], []
@@ -190,7 +190,7 @@ def test_an_interval_knows_what_lines_share_where_nothing_is_fitted_for_it(pair)
     assert np.sqrt(np.mean(np.square(narrow))) > 2 and 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.4
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_calibration_states_it_and_names_what_it_adds(pair):
     data = claiming(measured(truth(), 1), SHARE / 100)
     found = calib.Problem(pair, calib.FRFTest(data)).calibrate()

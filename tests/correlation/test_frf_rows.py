@@ -50,7 +50,7 @@ def along(model, direction, side):
     return FRFProblem(model, replace(data, **{side: turned})).functions({})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_parameters_are_named_after_transducers_and_axes(bogie):
     space = FRFProblem(bogie, empty(), EVERY).space
     assert set(AT) == set(space.names) - set(bogie.space.names)
@@ -62,7 +62,7 @@ def test_parameters_are_named_after_transducers_and_axes(bogie):
     assert all(e.parameter.name.endswith(" in test A") for e in belonging_to("A", EVERY))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_turned_sensor_or_force_acts_along_both_axes(bogie):
     """By the functions of a transducer along each axis; only its own side of its own name is turned."""
     plain = FRFProblem(bogie, empty()).functions({})
@@ -94,7 +94,7 @@ def test_axes_of_accelerometer_and_force_at_one_point_are_turned_each_for_itself
     np.testing.assert_allclose(alone[0], np.cos(a) * along_x, rtol=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_cross_talk_adds_a_share_to_a_response_alone(bogie):
     plain = FRFProblem(bogie, empty()).functions({})
     found = FRFProblem(bogie, empty(), EVERY).functions({"cross_talk_2x_1y": 0.15})
@@ -112,7 +112,7 @@ def test_errors_of_one_sensor_add_up(bogie):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("part", [0.0, 1.0])
 def test_derivatives_are_those_of_differences(bogie, part):
     """At value 0 and away from it, beside those of the model and of a channel, in any order."""
@@ -149,7 +149,7 @@ def test_each_error_makes_another_problem(bogie):
     assert FRFProblem(bogie, empty(), EVERY).fingerprint == FRFProblem(bogie, empty(), EVERY).fingerprint
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_suspects_change_no_target_of_a_basis_but_fitted_errors_do(bogie):
     """A fitted place or direction of a force gives the basis a force more, a suspected one does not."""
     fitted = (EVERY[0], EVERY[4])

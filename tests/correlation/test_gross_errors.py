@@ -66,7 +66,7 @@ def test_a_right_test_and_a_model_that_is_wrong_give_none():
     assert found(of(factor=1.0), ground=2e4) == () and found(of(factor=1.0), links=3.0) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_wrong_models_give_no_false_alarm_however_they_are_wrong():
     rng = np.random.default_rng(5)
     limits = np.array([[5e3, 2e4], [1.0, 50.0], [1.0, 5.0], [0.5, 2.0], [1.0, 1e4]])
@@ -82,7 +82,7 @@ def test_lines_at_0_hz_and_functions_of_zero_are_passed_over():
     assert gross_errors(read, np.zeros_like(model)) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_they_come_before_the_fit_from_every_door():
     """The comparison, the calibration and what both advise next."""
     read = replace(MEASURED, values=MEASURED.values * of(1))
@@ -98,7 +98,7 @@ def test_they_come_before_the_fit_from_every_door():
     assert "sign of response 3x" in compared.lines["Next"] and fit.lines["Next"] == compared.lines["Next"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "name",

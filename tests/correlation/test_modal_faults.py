@@ -52,7 +52,7 @@ def test_all_kinds_are_there(faulty):
     assert len({f.name for f in faulty().faults}) == len(faulty().faults)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("real", [False, True])
 def test_gradient_is_exact(faulty, real):

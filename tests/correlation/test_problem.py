@@ -48,7 +48,7 @@ def test_modes_that_are_solved_already_are_solved_again_only_where_more_are_requ
         assert one.comparison_table().equals(found.comparison_table())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_reduced_model_returns_the_responses_of_the_full_one(build, twin):
     model = build(n=20)
     measured = twin(model, TRUTH, order=(2, 0, 1, 4))

@@ -90,7 +90,7 @@ def test_a_mode_that_the_model_lacks_gives_no_findings(example):
         assert found_with(example, foreign)[1] == []
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", ["bogie", pytest.param("hidden_bogie", marks=pytest.mark.slow)])
 def test_the_shipped_measurements_have_no_findings(name):
     study = LoadedStudy.load(STUDIES / name)

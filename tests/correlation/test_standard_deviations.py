@@ -86,7 +86,7 @@ def test_a_correct_model_of_many_repeats_is_rejected_as_often_as_the_level_says(
         assert np.mean(np.array(known) < level) > 1.5 * level
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("held", [*(pytest.param(k, marks=pytest.mark.slow) for k in (2, 4)), 3])
 def test_a_mode_in_few_of_many_repeats_takes_the_pooled_standard_deviation(tmp_path, held):
     """Mode m0 is in a few of twelve repeats: two or three say almost nothing about its own standard deviation."""

@@ -125,7 +125,7 @@ def test_derivatives_of_a_pair_are_those_of_its_subspace(damped):
     assert np.all(np.abs(exact[frequency][:, :2]) > 10.0)  # each plane bears a part of every turned mode
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_measured_frequencies_that_differ_leave_the_directions_to_the_parameter_that_splits_them():
     data = measured((0, 90), freq_ratio=np.sqrt([0.98, 1.02]))
     before = residual(data).solve(ONE)

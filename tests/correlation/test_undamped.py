@@ -49,7 +49,7 @@ def test_a_model_without_matrices_has_none():
         _ = calib.Problem(model, calib.ResponseTest({"y": (1.0, 0.1)})).compare().undamped
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_writes_and_prints_them(tmp_path, capsys, no_drawing):
     from calib.command import cli
     from calib.command.example import write_example

@@ -26,7 +26,7 @@ def test_a_known_factor_is_reported_on_either_side(factor, by_shape, seed):
         assert word in frequency_hint(measured / factor**2, np.concatenate([np.full(6, 1e-6), MODEL]))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_ordinary_errors_give_no_hint():
     """Models off by up to a factor of two in frequency, modes missing on either side: one in a hundred at most."""
     hints = 0

@@ -115,7 +115,7 @@ def test_counts_are_read_as_they_are_written(monkeypatch, tmp_path, subject):
     }
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_key_has_a_description():
     whole = schema()
     for section in (whole, *whole["$defs"].values()):
@@ -131,7 +131,7 @@ def made():
     return runpy.run_path(str(ROOT / "docs/_ext/made_pages.py"))["PARTS"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_key_and_every_default_is_listed(made):
     text, whole = made["keys"](), schema()
     for section in (whole, *whole["$defs"].values()):

@@ -99,7 +99,7 @@ def test_every_file_that_the_architecture_names_is_there():
     assert set(re.findall(r"(?<![\w/])(\w+\.py)\b", page)) - {"VERB.py"} <= files
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_a_docstring_refers_to_is_there():
     lost = {str(file.relative_to(ROOT)): broken(file.read_text("utf-8")) for file in CODE}
     assert {file: names for file, names in lost.items() if names} == {}

@@ -20,7 +20,7 @@ COMMANDS = {
 }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "name", ["screened", *(pytest.param(name, marks=pytest.mark.slow) for name in ("example", "rig", "function"))]
 )

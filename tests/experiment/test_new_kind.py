@@ -246,7 +246,7 @@ def test_it_is_compared():
     np.testing.assert_allclose(found.table["measured"], compliance(**TRUE))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_it_is_fitted_and_verified_on_what_is_held_out():
     fit = calib.Problem(chain(), measured(held_out=("6x",))).calibrate()
     assert fit.values == pytest.approx(TRUE, rel=1e-4)
@@ -259,7 +259,7 @@ def test_it_is_fitted_and_verified_on_what_is_held_out():
     assert errors.loc["fit", "rows"] == N - 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_it_is_sampled_searched_and_reported_on(tmp_path):
     problem = calib.Problem(chain(), measured(), ledger=tmp_path / "ledger.sqlite")
     assert set(problem.sensitivity(samples=64).selected) == {"low", "high"}
@@ -277,7 +277,7 @@ def test_what_its_model_lacks_is_found():
     assert found.perturbation.fit.values["stiffness of spring 3"] == pytest.approx(-0.3, abs=0.005)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_it_stands_beside_another_kind():
     values = calib.Problem(chain(), measured()).calibrate().values
     first = chain().modes(values, 1).natural_freq[0]

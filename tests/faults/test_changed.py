@@ -18,13 +18,13 @@ def stale():
     return stale_answers(StudyFile.read(Path("mast")), Results(FOLDER))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_as_written_are_shown(answered):
     found = stale()
     assert not found.sentences and not found.files
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("file", ["parameters.csv", "summary.json", "measured.csv", "record.json"])
 def test_a_changed_file_is_not_shown(answered, file, capsys):
     path = FOLDER / file
@@ -40,7 +40,7 @@ def test_a_changed_file_is_not_shown(answered, file, capsys):
     assert file in told.out + told.err and "calib calibrate mast" in told.out + told.err
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_table_of_somebody_else_is_not_shown(answered):
     (FOLDER / "steps.csv").write_text("step,effect,gain\n1,mine,9.0\n")
     found = stale()

@@ -107,7 +107,7 @@ def test_a_study_that_was_extended_into_the_results(library, capsys):
     assert Path(proposed, "mast2", "comparison_before.csv").is_file()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_files_of_the_user_where_results_would_go(sums, capsys):
     mine = Path("results/plain")
     mine.mkdir(parents=True)
@@ -127,7 +127,7 @@ def test_files_of_the_user_where_results_would_go(sums, capsys):
     assert cli.execute(["compare", "plain"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_inputs_among_the_results(sums, capsys):
     assert cli.execute(["compare", "plain"]) == 0
     shutil.move("plain/measured.csv", "results/plain/mine.csv")
@@ -140,7 +140,7 @@ def test_inputs_among_the_results(sums, capsys):
     assert cli.execute(["compare", "plain", "--results", "other"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     "name",
     [
@@ -171,7 +171,7 @@ def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monk
     assert not [p for p in kept if str(p) in said]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_calib_wrote_is_replaced(sums):
     assert cli.execute(["calibrate", "plain"]) == 0
     text = Path("plain/measured.csv").read_text()
@@ -181,7 +181,7 @@ def test_what_calib_wrote_is_replaced(sums):
     assert set(contents("results")) == names and not list(Path("results/plain").glob(f"*{KEPT}*"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_studies_of_one_name(sums, capsys):
     shutil.copytree("plain", "other/plain")
     assert cli.execute(["calibrate", "plain"]) == 0
@@ -193,7 +193,7 @@ def test_two_studies_of_one_name(sums, capsys):
     assert cli.execute(["compare", "other/plain", "--results", "others"]) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_moved_together_with_its_results(sums):
     assert cli.execute(["compare", "plain"]) == 0
     Path("moved").mkdir()

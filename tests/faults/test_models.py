@@ -125,7 +125,7 @@ def check_rows(last: int) -> None:
         assert (status, error.startswith(SAID[what])) == ("failed" if SAID[what] else "ok", True), (what, error)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_fault_in_this_process_is_a_row(faulty, here):
     faulty(11)
     assert cli.execute(["sensitivity", "faulty", "--workers", "1"]) == 0
@@ -151,7 +151,7 @@ def test_every_fault_in_worker_processes_is_a_row(faulty, late_only_where):
     check_rows(14)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_model_that_fails_at_its_nominal_values(plain, capsys, one_sentence):
     plain("def answer(values):\n    import sys\n    sys.exit(0)")
     for verb in ("compare", "calibrate", "run"):
@@ -212,7 +212,7 @@ def points(*xs):
     return [{"x": float(x)} for x in xs]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("only_hanging_points_are_late")
 def test_a_point_that_hangs_is_abandoned(slow, tmp_path):
     with Evaluator(slow, 2, time_limit=0.5) as evaluator:
@@ -262,7 +262,7 @@ def test_many_points_together_may_take_longer_than_one(monkeypatch):
     assert board.late(0.25) == pytest.approx({40: 0.3, 41: 0.3})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("only_hanging_points_are_late")
 def test_a_point_given_up_is_tried_again_by_the_next_run(slow, tmp_path):
     path = tmp_path / "ledger.sqlite"

@@ -105,7 +105,7 @@ def test_a_ledger_that_may_not_be_written(prepared, runner, weak, one_sentence):
     assert run.wait() == 0, run.err
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runner, weak, one_sentence):
     closed = shared / "closed/mast"
     closed.mkdir(parents=True)
@@ -117,7 +117,7 @@ def test_results_of_a_study_whose_folder_may_not_be_read(prepared, shared, runne
     assert {name: content for name, content in files(FOLDER).items() if name != OWNER} == prepared
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_replaced_by_a_file(mast, told):
     assert cli.execute(["compare", "mast"]) == 0
     shutil.rmtree(FOLDER)
@@ -228,7 +228,7 @@ def test_a_disk_too_full_for_a_figure(answered_there, runner, one_sentence):
     assert all(b.endswith(b"IEND\xaeB`\x82") for n, b in after.items() if n.endswith(".png"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_full_disk_leaves_earlier_results_whole(mast, answered_there, runner, rows, one_sentence):
     before, known = files(FOLDER), rows(LEDGER)
     text = (mast / "study.toml").read_text()

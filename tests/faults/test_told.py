@@ -16,7 +16,7 @@ def answer(values):
 """
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("functions_in_this_process", "undrawn")
 def test_a_calibration_tells_failed_points_without_a_request(plain, capsys):
     plain(FAILING)

@@ -259,7 +259,7 @@ def test_nodes_in_local_systems_are_refused(tmp_path):
         read_coordinates(path)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_needs_no_study(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "beam.frd").write_text(frd())

@@ -80,7 +80,7 @@ def test_another_case_with_the_same_seed_reuses_everything(ledger, search):
     assert twin.solved == 0 and twin.reused > 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_workers_change_nothing(tmp_path, monkeypatch, search, assert_equal):
     monkeypatch.syspath_prepend(str(tmp_path))
     (tmp_path / "case_model.py").write_text(

@@ -102,7 +102,7 @@ def test_killed_at_any_moment_it_ends_the_same(tmp_path, uninterrupted, place, n
             assert_equal(one, other)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_killed_again_and_again(tmp_path, uninterrupted, search):
     path, times = tmp_path / "ledger.sqlite", 0
     # Replaying takes statements too, so every start gets a little further than the last.
@@ -115,7 +115,7 @@ def _slowly(search, path):
     search_all(search, path, search.evaluator(pause=0.01))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_killed_from_outside(tmp_path, uninterrupted, search):
     for attempt in range(20):  # a run that got through before the first kill, on a busy machine, is repeated
         path, times = tmp_path / f"{attempt}.sqlite", 0
@@ -148,7 +148,7 @@ def test_stopped_by_the_keyboard(tmp_path, uninterrupted, search):
     assert len(evaluator.points) == len(uninterrupted[1][0])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_failure_of_the_machine_is_repaired_by_the_next_run(tmp_path, uninterrupted, search):
     class Unlucky(search.evaluator):
         isolated = True

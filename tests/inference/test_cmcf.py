@@ -46,7 +46,7 @@ def test_linked_elements_change_together(array):
     assert found.values["yoke"] == found.changes[-1][1]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("alpha", [CASES.SYMMETRIC, CASES.ASYMMETRIC], ids=["symmetric", "asymmetric"])
 @pytest.mark.parametrize("weighting", ["block", "white"])
@@ -78,7 +78,7 @@ def test_a_measured_receptance_holds_modes_beyond_the_masters(array, offset, mos
     np.testing.assert_allclose(array.freq(found.changes[-1]), array.freq(CASES.SYMMETRIC), rtol=2e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_units_and_the_order_of_masters_do_not_matter(array):
     measured = array.measured(CASES.ASYMMETRIC, 0.02)
     own = cmcf(array.initial, measured, CASES.ALL_STEPS).changes[-1]

@@ -67,14 +67,14 @@ def test_a_constraint_that_counts_as_data_holds_nothing(half_width):
     assert table.loc["m2", "data_share"] > 0.99 and table["not_identified"].to_list() == ["", ""]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wide_constraint_that_is_not_reached_tells_nothing():
     free, wide = (weighed(*c).calibrate(**ROOM).parameters for c in ((), [("total mass", SUM, 15.0, 65.0, "t")]))
     np.testing.assert_allclose(wide["std"], free["std"], rtol=1e-9)
     assert wide["not_identified"].to_dict() == free["not_identified"].to_dict() == {"m1": "", "m2": "wide, prior"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_equality_leaves_one_parameter_less():
     """The covariance is that of the fit with one parameter in the place of both."""
     fit = beam(5.0, cap(0.0, 0.0, E=1.0, k=-100.0)).calibrate(**ROOM)
@@ -89,7 +89,7 @@ def test_an_equality_leaves_one_parameter_less():
     assert searched.values["k"] == pytest.approx(values["k"], rel=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_is_held_out_is_predicted_with_the_constraint():
     """The second mass has its own frequency, 2 % off: the constraint alone tells that this contradicts the model."""
     off = {"own": (10.0 / math.sqrt(19.0 / 20.0) * 1.02, 0.01)}
@@ -118,7 +118,7 @@ def test_the_standard_deviation_of_a_constraint_is_that_of_a_uniform_distributio
 # -- constraints that hold ---------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_constraint_holds_a_parameter_as_a_limit_does():
     by_limit, by_constraint = beam(2.30).calibrate(**ROOM), beam(5.0, cap(0.5, 2.30, k=1.0)).calibrate(**ROOM)
     one_sided = beam(5.0, cap(-math.inf, 2.30, k=1.0)).calibrate(**ROOM)

@@ -92,7 +92,7 @@ def best_over_active_sets(problem, limits, space, centre, sd, cost):
     return lowest
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @hypothesis_settings(max_examples=40)
 @given(seed=st.integers(0, 10_000), limit=st.floats(1.0, 5.0), equal=st.booleans())
 def test_limits_and_constraints_against_all_active_sets(seed, limit, equal):

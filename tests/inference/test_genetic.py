@@ -43,7 +43,7 @@ def test_same_seed_same_table_whatever_the_global_state():
     assert not np.array_equal(first[1], other[1])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("seed", [1, pytest.param(2, marks=pytest.mark.slow)])
 def test_finds_the_bottom_of_a_bowl_in_ten_parameters(seed):
     space = box(10, -5.0, 15.0)

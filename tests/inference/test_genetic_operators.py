@@ -21,7 +21,7 @@ def test_the_deviation_falls_linearly():
     assert GeneticSettings(generations=2).sigma(2) == 0.10
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_mutations_measured():
     # Every parent in the middle: whatever differs has mutated, far from the limits.
     n, settings = 40, GeneticSettings(population=200, generations=4, sigma_start=0.08, sigma_end=0.02)
@@ -81,7 +81,7 @@ def test_a_space_with_fewer_points_than_individuals():
 # -- mating ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_crossover_measured():
     # Individual k has k in every gene: a child of a crossed pair holds two numbers, a copy holds one. A mutation too
     # small to hide that makes all children different, so that none is replaced.

@@ -88,7 +88,7 @@ def test_units_of_parameters_do_not_matter():
     np.testing.assert_allclose(one.elpd, other.elpd, rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_chance_of_the_worst_group_keeps_its_level():
     a, _, s, c, groups = problem((6, 9, 5, 4), prior=2.0)
     rng = np.random.default_rng(1)

@@ -100,7 +100,7 @@ def test_moments_are_those_of_the_residual_covariance():
     assert matched(np.eye(3), np.full(3, np.inf)) == pytest.approx((1.0, 0.0), abs=1e-12)  # nothing is left to test
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_chances_of_a_test_are_uniform_and_its_expected_error_is_the_mean():
     """Over noise and parameters; few rows that share three parameters with the other test, the hardest case."""
     g, s = linear(), np.array([2.0, 1.0, 1.0, 4.0, 3.0]) / UNITS

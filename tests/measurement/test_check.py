@@ -44,7 +44,7 @@ def test_no_false_alarm_under_noise_and_model_error():
             assert check_sensors(measured, model, names(n_sensors)) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_false_alarm_under_wrong_stiffness():
     """Model error that is physics, not noise: springs wrong by a factor of up to about three."""
     rng = np.random.default_rng(1)
@@ -56,7 +56,7 @@ def test_no_false_alarm_under_wrong_stiffness():
         assert check_sensors(measured, model, names(12)) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_flipped_sensor_is_found():
     rng = np.random.default_rng(2)
     found = 0

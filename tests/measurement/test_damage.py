@@ -91,7 +91,7 @@ def check_universal_files(whole, tmp_path, capfd, todo, which, together):
 DAMAGED_FILES = given(todo=damages(), which=st.integers(0, 1), together=st.booleans())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @QUICK
 @DAMAGED_FILES
 def test_damaged_universal_files(whole, tmp_path, capfd, todo, which, together):
@@ -128,7 +128,7 @@ def check_tables(tmp_path, capfd, todo, which):
 DAMAGED_TABLES = given(todo=damages(), which=st.integers(0, 2))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @QUICK
 @DAMAGED_TABLES
 def test_damaged_tables(tmp_path, capfd, todo, which):

@@ -39,7 +39,7 @@ def pooled(found):
     return np.sqrt(np.nanmean(found.shape_std**2))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("is_complex", [True, False])
 @pytest.mark.parametrize("count", [3, 5, 10])
@@ -73,7 +73,7 @@ def test_a_channel_that_is_wrong_in_one_repeat(count, bad, factor, gain):
     np.testing.assert_allclose(np.abs(robust.shapes), np.abs(clean.shapes), atol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_wrong_channels_in_two_repeats_do_not_mask_each_other():
     given = repeats(8)
     for k, row in ((1, 3), (3, 3), (3, 7)):
@@ -121,7 +121,7 @@ def value_places(table, robust=True):
     return {one.index[::2]: one.left_out for one in found}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("count", "times", "least"), [(5, 25, 0.95), (5, 10, 0.2), (3, 100, 0.95), (10, 10, 0.9)])
 def test_a_far_frequency_is_left_out(count, times, least):
@@ -134,7 +134,7 @@ def test_a_far_frequency_is_left_out(count, times, least):
     assert left_out >= least * runs
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_far_frequencies_of_two_modes_do_not_mask_each_other():
     rng, runs, left_out = np.random.default_rng(21), 60, 0
     for _ in range(runs):
@@ -146,7 +146,7 @@ def test_far_frequencies_of_two_modes_do_not_mask_each_other():
     assert left_out >= 0.9 * runs
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_three_repeats_cannot_decide_is_named_and_kept():
     rng, runs, named, kept = np.random.default_rng(22), 60, 0, 0
     for _ in range(runs):
@@ -222,7 +222,7 @@ def test_the_rate_of_false_alarms():
         assert alarms <= most
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("count", "most"),
     [(3, 1), *(pytest.param(n, m, marks=pytest.mark.slow) for n, m in ((4, 1), (5, 2), (10, 2)))],

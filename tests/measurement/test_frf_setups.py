@@ -108,7 +108,7 @@ def test_what_is_no_set_up_is_refused_by_its_name(other, word):
     assert word in str(fault.value) and "two" in str(fault.value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_of_two_runs_with_a_roving_accelerometer_have_one_shape():
     runs = [setup("one", [(2, 2), (1, 2)], noise=1e-3), setup("two", [(2, 2), (3, 2)], 1.05, 1e-3, 1)]
     found = modes_from_frfs(combine_setups(runs, synthetic=True)).modes

@@ -99,7 +99,7 @@ def test_the_mean_of_the_repeats_is_the_average_and_without_one_that_of_the_othe
     assert np.abs(change).max() > 1e-3 * np.abs(whole.values).max()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_noise_of_the_responses_biases_h2_and_noise_of_the_force_h1(tmp_path):
     rng = np.random.default_rng(1)
     files = {"force": [], "moved": []}
@@ -138,7 +138,7 @@ def test_modes_have_the_beams_frequencies_and_damping_within_their_standard_devi
     np.testing.assert_allclose(np.diag(mac(found.shapes, true)), 1.0, atol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_window_that_is_not_stated_is_taken_for_damping_and_stated_for_frfs_taken_off(tmp_path):
     files = BEAM.session(tmp_path, 1, window=0.25)
     frfs = calib.read_frfs(files)
@@ -186,7 +186,7 @@ def test_a_rounded_record_is_no_overload(tmp_path):
     assert calib.read_frfs(BEAM.write(tmp_path / "coarse.csv", table)).n_repeats == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_roving_hammer_gives_shapes_at_its_places(tmp_path):
     files = []
     for place in (10, 30, 40):
@@ -241,7 +241,7 @@ def test_what_is_no_hammer_record_is_refused(tmp_path):
         calib.FRFTest(calib.read_frfs(hit))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_command_takes_hammer_records(tmp_path):
     files = BEAM.session(tmp_path, 1, window=0.25)
     into = tmp_path / "out"

@@ -17,7 +17,7 @@ def path(tmp_path):
     return tmp_path / "test.mat"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_another_process_reads_it(path):
     np.testing.assert_array_equal(np.ravel(matlab.matlab_variables(path, ("f",), "")["f"]), np.arange(100.0))
 
@@ -32,7 +32,7 @@ def test_a_reader_that_ends_is_no_end_of_ours(path, monkeypatch):
     assert str(path) in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_a_process_raises_is_raised_here():
     with pytest.raises(ValueError, match="'x'"):
         apart(int, "x")

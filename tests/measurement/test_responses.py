@@ -54,7 +54,7 @@ def test_an_outlier_is_named_with_its_effect_on_the_mean(tmp_path):
     assert one.std_with > 5 * one.std_without
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_far_value_is_found_among_those_of_its_own_kind(tmp_path):
     """Noise of 0.1 % in frequencies and 0.3 to 2 % in shapes: shapes do not determine the noise of a frequency."""
     path, runs, left_out = tmp_path / "r.csv", 20, 0

@@ -75,7 +75,7 @@ def test_parameters_are_known_as_by_all_lines_and_nothing_is_biased():
     assert np.sqrt(np.mean(errors**2)) == pytest.approx(1.0, abs=0.05) and errors.max() < 4
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_claimed_and_assumed_standard_deviations_are_those_of_means():
     frfs = replace(measured(), accuracy=calib.FRFTest(measured(), accuracy="3 %").frfs.accuracy)
     few = thinned(frfs)
@@ -86,7 +86,7 @@ def test_claimed_and_assumed_standard_deviations_are_those_of_means():
     assert part.behind.shape == part.values.shape
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_few_lines_stay_and_gaps_count_fewer():
     frfs = measured()
     assert thinned(frfs, most=len(frfs.freq)) is frfs

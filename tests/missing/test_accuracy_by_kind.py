@@ -34,7 +34,7 @@ def wrong(toy):
     return make
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_kind_that_is_off_is_the_one_that_is_told(wrong):
     one = wrong("shape", 20.0)  # of 0.5 %
     found = accuracy_by_kind(decide(one), one, 1)
@@ -47,7 +47,7 @@ def test_the_kind_that_is_off_is_the_one_that_is_told(wrong):
     assert table.loc[table["shape"] < 0.02, "missing"].all() and not table.loc[table["shape"] >= 0.1, "missing"].any()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_kinds_that_are_off_need_both(wrong):
     one = wrong("shape", 20.0)
     one = replace(one, data=one.data + wrong("frequency", 12.0).data - wrong("frequency", 0.0).data)  # of 0.1 %

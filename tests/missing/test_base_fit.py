@@ -94,7 +94,7 @@ def test_a_decision_begins_where_it_is_told(trapped):
     assert found.verdict == "nothing_detectable" and found.base_starts == 0 and not found.begun_anew
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_second_fit_of_the_base_model_is_told(cases):
     found = replace(cases["none_explains"], base_starts=0)
     assert "further point" not in text_of(found)
@@ -152,7 +152,7 @@ def test_modes_are_judged_by_their_scores(toy):
     assert not overstated(goodness(made.calibrated(), made)[0], made)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_model_that_is_nearly_rejected_is_told_with_its_limit(cases):
     found = cases["nothing_detectable"]
     assert "only just" not in text_of(found) and "largest score is" not in text_of(found)

@@ -101,7 +101,7 @@ def test_what_differs_is_named_with_its_size():
     assert found.sentence(0.0).startswith("No parameter differs")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_p_value_is_uniform_where_nothing_differs():
     slope, owner = columns((8, 6, 7))
     rng, p = np.random.default_rng(11), []

@@ -33,7 +33,7 @@ def test_a_fault_alone_is_named(faulty):
     assert "is what does not fit: F2" in text_of(found)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("seed", range(3))
 def test_a_fault_far_ahead_is_told_first_although_something_is_left(faulty, seed):
     made = beside(faulty())
@@ -45,7 +45,7 @@ def test_a_fault_far_ahead_is_told_first_although_something_is_left(faulty, seed
     assert "is what does not fit" not in text and "no effect or place stands out" not in text
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_fault_that_takes_little_is_not_told_first(faulty):
     made = beside(faulty())
     found = decide(made.drawn(np.random.default_rng(0), {"F2": 1.2, "hidden": 80.0}))
@@ -88,7 +88,7 @@ def doubted(found):
     return verdict_of(found, effects_table(found, {}, {}), errors(), doubts=doubts)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("verdict", ["none_explains", "partial"])
 def test_what_a_comparison_finds_in_the_measurement_comes_first(cases, verdict):
     told = doubted(cases[verdict])

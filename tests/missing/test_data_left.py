@@ -21,7 +21,7 @@ def error(toy, candidate_fit):
     return np.linalg.norm(leave_one_out(s.residual, s.slope, s.prior_sd, groups).residual)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("seed", [1, 4, 18])
 def test_with_as_many_unknowns_as_data_nothing_is_named(toy, seed):
@@ -56,7 +56,7 @@ def pulled(toy, seed):
     return made.drawn(np.random.default_rng(seed), {"hidden": 20.0})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("seed", [0, 2, 6, 7, 11])
 def test_two_effects_that_predict_left_out_modes_worse_are_not_named(toy, seed, monkeypatch):

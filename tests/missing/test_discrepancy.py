@@ -46,7 +46,7 @@ def test_the_posterior_is_that_of_generalised_least_squares():
     np.testing.assert_allclose(found.change, covariance @ (fit.slope.T @ weight @ fit.residual - fit.shift), rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("sparse", [False, True])
 def test_the_true_values_lie_inside_where_those_of_the_fit_alone_do_not(sparse):
     """Of 300 parameters at least 95 % within three standard deviations of a count: the size is an upper limit."""

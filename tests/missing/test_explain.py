@@ -40,7 +40,7 @@ def test_without_a_finding_only_the_base_model_is_fitted(toy):
     assert found.evaluations > 0 and found.noise_scale == 1.0 and found.measured_scale == pytest.approx(1, abs=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_one_effect_is_named_and_measured(toy):
     """One in 100 correctly specified models has a pulled parameter: no effect is named then."""
     found = toy(signed=("E1",)).explained({"E3": 1.0}, 15)
@@ -59,20 +59,20 @@ def test_one_effect_is_named_and_measured(toy):
     assert one.singles[0].names == ("E3",) and "E3" not in one.chosen_adequacy.named.owners
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_negative_magnitude_of_a_signed_effect_is_named(toy):
     found = toy(signed=("E1",)).explained({"E1": -1.2}, 8)
     assert all("E1" in f.chosen.names and f.chosen.fit.values["E1"] < -0.5 for f in found)
     assert Counter(f.credible for f in found)[("E1",)] >= 6
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_impossible_negative_magnitude_is_not_named(toy):
     for f in toy(perturbations=1).explained({"E1": -2.0}, 5):
         assert f.verdict in ("none_explains", "misfit_unlocated") and f.credible == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_nuisance_parameter_of_an_effect_is_found(toy):
     toy = toy(bump=True)
     for place in (1.3, 5.6):
@@ -81,7 +81,7 @@ def test_the_nuisance_parameter_of_an_effect_is_found(toy):
         assert all(f.chosen.fit.values["at"] == pytest.approx(place, abs=0.3) for f in found)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_with_an_implausible_nuisance_parameter_is_not_named(toy):
     """The effect fits, but only at an implausible place."""
     toy = toy(bump=True, effects=2)
@@ -96,7 +96,7 @@ def test_an_effect_with_an_implausible_nuisance_parameter_is_not_named(toy):
             assert "at = " in f.chosen.implausible
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_that_pulls_a_parameter_is_not_named(toy):
     """The missing effect is E0 less a parameter's signature: E0 fits only with the parameter far off."""
     toy = toy(prior=0.5, reach=5.0, perturbations=0, effects=3, size=20.0)
@@ -107,7 +107,7 @@ def test_an_effect_that_pulls_a_parameter_is_not_named(toy):
         assert f.chosen.names == ("E0",) and "P1 has shifted" in f.chosen.implausible
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_collinear_effects_are_one_group(toy):
     toy = toy().correlated("E4", "E2", 0.995)
     found = toy.explained({"E4": 1.0}, 8)
@@ -134,7 +134,7 @@ def test_weak_collinear_effects_are_both_reported(toy):
     assert all(f.credible == ("E1",) for f in strong)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_effects_are_named_together(toy):
     found = toy(signed=("E4",)).explained({"E0": 1.2, "E4": -1.2}, 6)
     assert Counter(f.verdict for f in found)["two_effects"] >= 5
@@ -146,7 +146,7 @@ def test_two_effects_are_named_together(toy):
             assert any(len(t.effects) == 2 for t in f.candidate_fits) and all(len(t.effects) == 1 for t in f.singles)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_local_perturbation_locates_what_the_library_lacks(toy):
     for f in toy(perturbations=12).explained({"A7": 1.5}, 4):
         assert f.verdict == "none_explains" and f.credible == ()
@@ -194,7 +194,7 @@ def test_a_longer_library_does_not_raise_false_alarms(toy):
     assert found["nothing_detectable"] >= 11 and not found["effect"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_scalar_responses_need_no_modes(toy):
     found = toy(modes=0, sensors=60).explained({"E1": 1.3}, 10)
     assert all(f.chosen.names[0] == "E1" and np.isnan(f.measured_scale) for f in found)
@@ -232,7 +232,7 @@ def test_without_effects_the_local_perturbation_is_reported(toy):
     assert complete.verdict == "nothing_detectable" and complete.perturbation is None
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_effect_is_named_when_a_local_perturbation_fits_better(toy):
     """A collinear effect leaves no visible misfit, but the evidence favours the local perturbation."""
     toy = toy().correlated("A5", "E2", 0.9)
@@ -249,7 +249,7 @@ def test_no_effect_is_named_when_a_local_perturbation_fits_better(toy):
     assert competing >= 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_magnitude_beyond_the_plausible_one_is_no_misfit(toy):
     """Thirty times the plausible size: a local perturbation must not explain the pull by the prior."""
     toy = toy().correlated("A5", "E2", 0.6)

@@ -28,7 +28,7 @@ def test_integers_move_back_once_the_effect_is_added(toy):
     assert found.credible == ("E2",) and found.chosen.fit.values["place"] == 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_same_seed_gives_the_same_explanation(toy):
     toy = toy(bump=True, places=3).drawn(np.random.default_rng(5), {"E1": 1.2, "hung": 1.0, "at": 2.2, "place": 1})
     one, other = decide(toy), decide(replace(toy, count=[0]))
@@ -40,7 +40,7 @@ def test_the_same_seed_gives_the_same_explanation(toy):
     assert one.chosen.fit.values == other.chosen.fit.values
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_earlier_evaluations_do_not_change_the_explanation(toy):
     """Evaluations made before do not matter."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
@@ -51,7 +51,7 @@ def test_earlier_evaluations_do_not_change_the_explanation(toy):
         assert decide(toy, settings).verdict == first.verdict
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_pairs_keep_their_part_of_the_budget(toy, monkeypatch):
     """Two effects are missing and single effects use up the budget: the pair is still named."""
     toy = toy(signed=("E4",)).drawn(np.random.default_rng(1), {"E0": 1.2, "E4": -1.2})
@@ -67,7 +67,7 @@ def test_pairs_keep_their_part_of_the_budget(toy, monkeypatch):
     assert found.verdict == whole.verdict == "two_effects" and set(found.credible) == set(whole.credible)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_order_of_the_library_does_not_matter(toy):
     toy = toy(signed=("E0",)).drawn(np.random.default_rng(6), {"E0": -1.0, "E3": 0.9})
     one, other = decide(toy), decide(replace(toy, effects=toy.effects[::-1], perturbations=toy.perturbations[::-1]))

@@ -111,7 +111,7 @@ def test_an_effect_is_named_despite_an_understated_standard_deviation(toy):
         assert std == pytest.approx(2.0 / 20, rel=0.25)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_strong_effect_does_not_count_as_an_understated_standard_deviation(toy):
     toy = toy(modes=10, sensors=30)
     for f in toy.explained({"E2": 9.0}, 4):

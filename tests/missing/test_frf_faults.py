@@ -73,7 +73,7 @@ def test_faults_at_zero_change_nothing():
     assert sum(not f.of_pair for f in pair.faults) == 3 * 4 + 4 and sum(f.of_pair for f in pair.faults) == 3 + 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_error_that_is_fitted_is_no_fault(bogie):
     """Whatever its prior, or the name of its test."""
     pair = hypotheses(truth()).pair
@@ -101,7 +101,7 @@ def test_faults_of_a_test_among_several_bear_its_name():
     assert set(named.space.names) == {"k", *(f.name for f in found)}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_transducers_have_the_faults_of_a_modal_test(bogie):
     """A box is rigid and moves along all axes, the crossbar is a beam along z; every response has its neighbours."""
     found = {f.name: f for f in frf_faults(bogie, of_bogie(bogie))}
@@ -124,7 +124,7 @@ def test_transducers_have_the_faults_of_a_modal_test(bogie):
     assert found["place_x_1y"].place == GIRDER.point and found["place_z_3y"].title == "place of sensor 3y along z"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_place_of_every_force_is_suspected(bogie):
     """A hammer that roves: one response and a force at two other points."""
     data = of_bogie(bogie)
@@ -170,7 +170,7 @@ def test_a_planted_fault_is_named(channel, factor, name, value, words):
     assert float(ends[1]) < percent * effect.as_told(fitted) < float(ends[2])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("ground", [0.0, 3e3])
 def test_exchanged_responses_are_told_alone_and_beside_an_effect(ground):
     found = decide(hypotheses(truth(ground)[:, [2, 1, 0]]))
@@ -194,7 +194,7 @@ def test_an_exchange_changes_both_rows_with_an_exact_derivative():
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_missing_effect_is_named_and_sound_data_are_silent():
     assert decide(hypotheses(truth())).verdict == "nothing_detectable"
     found = decide(hypotheses(truth(ground=3e3)))

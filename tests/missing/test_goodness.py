@@ -100,7 +100,7 @@ def test_p_is_uniform_when_nothing_is_missing(toy, known):
         assert stats.kstest(values, "uniform").pvalue > 0.005
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_overall_test_keeps_its_level(toy):
     toy = toy(modes=8, sensors=6, reach=1e3)
     fit = toy.calibrated()
@@ -143,7 +143,7 @@ def test_the_common_factor_of_the_standard_deviation(toy, noise):
     assert np.std(found) < 0.06 * noise
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("modes", "dof"), [(5, 60), *(pytest.param(*two, marks=pytest.mark.slow) for two in ((8, 20), (10, 62)))]
 )

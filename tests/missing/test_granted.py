@@ -48,7 +48,7 @@ def test_an_effect_alone_grants_no_fault(faulty):
         assert found.verdict == "effect" and found.granted == () and found.faulty == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_more_than_four_are_not_told_as_all(faulty):
     made = faulty(number=6, modes=10, sensors=16)
     found = decide(made.drawn(np.random.default_rng(1), {f"F{k}": 3.0 for k in range(6)}))

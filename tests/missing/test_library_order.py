@@ -60,7 +60,7 @@ def cases(toy):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @effort(max_examples=6, deadline=None)
 @given(data=st.data())
 def test_every_order_of_the_library_gives_the_same_explanation(cases, data):

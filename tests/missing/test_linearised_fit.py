@@ -149,7 +149,7 @@ def smooth(toy):
     return replace(toy, columns={**toy.columns, "place": 4 * toy.columns["place"] @ near})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_nearest_integers_are_those_of_the_lowest_sum_of_squares(toy):
     toy = smooth(toy(places=9, reach=40.0))
     toy = numbered(toy, np.roll(toy.columns["place"], 11, axis=0))

@@ -41,7 +41,7 @@ def parents(found):
             yield candidate_fit, min(below, key=lambda t: t.fit.misfit)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("edge", [0.0, 1e-3, 0.3])
 @pytest.mark.parametrize("truth", [{"E1": 2.0}, {"E0": 1.5, "E3": 1.5}, {"A2": 1.5}])

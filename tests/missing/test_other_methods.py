@@ -67,7 +67,7 @@ def test_an_effect_that_is_in_no_library_is_named_wrongly(bench, toy):
     assert told["this search"]["credible"] == [] and told["this search"]["outcome"] == found.verdict
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_pure_noise_is_often_told_as_an_effect_by_aicc(bench, toy):
     many = toy(effects=12)
     told = [answers(bench, many, {}, seed)[1] for seed in range(12)]
@@ -194,7 +194,7 @@ def test_the_largest_energy_error_is_at_the_soft_spring(bench, rods, hidden, nam
 # -- the table ---------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_table_counts_every_method_by_the_same_rule(bench, toy, tmp_path, capsys):
     rows = []
     for seed in range(3):

@@ -56,7 +56,7 @@ def test_screened_scores_are_those_of_all_candidates(faulty):
     np.testing.assert_allclose(found.scores.z[:-1], every.z[order[: RULES.screened]])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_p_value_of_many_is_one(faulty):
     """With standard deviations from few repeats too: all candidates share their error."""
     made, small = with_pairs(faulty()), 0
@@ -71,7 +71,7 @@ def test_the_p_value_of_many_is_one(faulty):
     assert 1 <= small <= 6 + 3 * np.sqrt(6)  # of 60; the bound is on the safe side
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_tests_of_effects_and_of_single_faults_are_the_same(faulty):
     made, many = faulty(), with_pairs(faulty())
     for seed in range(4):
@@ -96,7 +96,7 @@ def test_limits_of_effects_and_of_single_faults_do_not_rise(faulty):
     assert 10 <= right["without"] <= 36 and abs(right["with"] - right["without"]) <= 1 and same >= 37
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_fault_of_a_pair_is_told_alone_and_beside_an_effect(faulty):
     made = with_pairs(faulty())
     alone = decide(made.drawn(np.random.default_rng(1), {"X7": 1.5}))
@@ -120,7 +120,7 @@ def test_a_pair_pays_for_their_number(faulty):
     assert fit.ln_evidence == pytest.approx(known - rarer + alone)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_part_of_an_exchange_is_none(faulty):
     made = with_pairs(faulty(), whole=True)
     whole, part = (decide(made.drawn(np.random.default_rng(2), {"X7": size})) for size in (1.0, 2.5))

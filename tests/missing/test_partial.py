@@ -97,7 +97,7 @@ def otherwise(toy, small):
     return dressed(replace(made, columns={**made.columns, "hidden": hidden}))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("seed", range(2))
 def test_a_second_effect_of_almost_no_size_is_not_named_beside_the_first(toy, seed):
     """It would leave nothing over; but the first is only built otherwise than listed."""

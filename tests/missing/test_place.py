@@ -103,7 +103,7 @@ def test_it_takes_a_share_of_the_sum_of_squares(cases):
     assert not takes_enough(found, taking(0.99 * RULES.least_share))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_partial_explanation_takes_a_share_too(toy):
     """An effect of strong evidence that lowers a huge misfit by less than a fiftieth is not a part of it."""
     made = off_all_places(toy, 0.12)

@@ -10,7 +10,7 @@ from calib.missing.plausible import implausible, parameter_pulls
 from calib.missing.rules import RULES
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_pull_is_standard_normal_in_a_correctly_specified_model(toy):
     toy = toy(parameters=6, reach=1.0)
     rng = np.random.default_rng(1)

@@ -42,7 +42,7 @@ def world(seed, size):
     return held, discrepancy(fit, scores), signatures[N:]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_most_measured_values_lie_inside_where_those_of_the_fit_alone_do_not():
     """Of 2000 values at least 95 % within three standard deviations of a count, as the size is an upper limit."""
     alone = together = 0

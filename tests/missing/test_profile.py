@@ -61,7 +61,7 @@ def test_the_interval_of_a_nonlinear_model_is_the_exact_profile(toy, curvature, 
     np.testing.assert_allclose([low, high], exact, atol=0.04 * std)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_interval_covers_the_truth_at_its_level(toy):
     """Data simulated with a magnitude from its prior: the interval then covers it at the nominal rate."""
     toy = toy(signed=("E0",), parameters=2, modes=4, sensors=4, size=4.0, curvature=0.02)
@@ -104,7 +104,7 @@ def sharing(toy, size=3.0):
     return replace(toy, shared=(column,))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_errors_that_rows_share_widen_the_interval_to_its_level(toy):
     """A common error beside the noise of every row: the interval of independent errors misses, this one does not."""
     toy = sharing(toy(signed=("E0",), parameters=2, modes=4, sensors=4, size=4.0))

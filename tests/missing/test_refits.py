@@ -53,7 +53,7 @@ def started(monkeypatch):
     return starts
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("seed", [0, *(pytest.param(s, marks=pytest.mark.slow) for s in (1, 2))])
 def test_a_second_effect_is_found_although_integers_have_moved(astray, started, monkeypatch, seed):
     one = astray.drawn(np.random.default_rng(seed), {"place": 1, "E0": 2.0, "E2": 2.0})
@@ -76,7 +76,7 @@ def test_a_second_effect_is_found_although_integers_have_moved(astray, started, 
     assert blind.credible == () and not any(t.names == ("E0", "E2") for t in blind.candidate_fits)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_pair_with_a_vanished_effect_is_never_named(toy):
     """The effect missing beside E0 is a negative E1, which is impossible."""
     made, vanished, named = toy(effects=3, perturbations=0), 0, 0
@@ -108,7 +108,7 @@ def test_the_budget_counts_from_the_start_of_an_explanation(toy):
     assert fits.allowance.used == 21 and one.count[0] == 78
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_small_budget_ends_with_a_verdict_after_about_as_many_evaluations(toy):
     """Three effects are missing, so that everything is tried."""
     made = toy(seed=3, effects=8, places=6, curvature=0.03)

@@ -33,7 +33,7 @@ def critical(found: Scores, toy, level: float, dof=None) -> float:
     return 0.5 * (low + high)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_scores_are_standard_normal_when_nothing_is_missing(toy):
     toy = toy(signed=("E0",))
     rng = np.random.default_rng(1)
@@ -230,7 +230,7 @@ def test_samples_are_spared_only_where_none_would_reach_the_score(toy, monkeypat
     assert all(drawn > 8000 * np.array(told[:3]) - 1 - 4 * np.sqrt(8000 * np.array(told[:3])))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_p_values_of_simulated_data_are_uniform(toy, fewer_samples):
     """The whole chain: simulate, calibrate, score, test."""
     toy = toy(effects=3, perturbations=0, modes=4, sensors=4, parameters=2)

@@ -34,7 +34,7 @@ def errors_of(found):
 # -- several effects ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("truth", [THREE, {**THREE, "E3": 1.6}])
 def test_three_and_four_effects_are_named_and_no_other(toy, truth):
@@ -64,7 +64,7 @@ def test_of_three_effects_one_that_no_library_has_leaves_the_others_unnamed(toy)
     assert named <= 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_order_of_the_library_does_not_change_the_steps(toy):
     one = drawn(toy, THREE, 2)
     found, other = decide(one), decide(replace(one, effects=one.effects[::-1], count=[0]))
@@ -152,7 +152,7 @@ def test_a_place_that_explains_as_well_as_one_of_the_effects_keeps_them_unnamed(
     assert doubtful == 3
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
     one = toy(seed=2, effects=10, perturbations=12).correlated("E7", "E2", 0.9999)
     found = decide(one.drawn(np.random.default_rng(2), THREE))
@@ -164,7 +164,7 @@ def test_a_collinear_effect_is_named_beside_the_one_taken_in(toy):
 # -- tables ------------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_tables_tell_every_step_and_every_rejection(toy):
     found = decide(drawn(toy, THREE, 1))
     tables = steps_tables(found, errors_of(found))
@@ -178,7 +178,7 @@ def test_the_tables_tell_every_step_and_every_rejection(toy):
     assert len(rejected) == len(found.steps.trials) > 0 and set(rejected["why"]) <= set(WHY.values())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_effects_that_are_named_together_have_the_probability_of_their_model(toy):
     found = decide(drawn(toy, THREE, 1))
     table = effects_table(found, {}, {}).set_index("name")

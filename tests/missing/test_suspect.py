@@ -95,7 +95,7 @@ def test_two_bad_values_are_not_explained_by_one(toy):
     assert len(table) and not table["explains"].any() and suspect_sentence(table) == suspect_in_short(table, "E1") == ""
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_suspect_where_everything_fits(toy):
     """Where a fit fails by chance, a datum is suspect at most at the level."""
     blamed = 0
@@ -141,7 +141,7 @@ def test_nothing_is_suspect_without_a_converged_fit(toy):
     assert not linearised(fit.fit_problem, (), fit.values).converged
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_batches_of_data_left_out_do_not_change_the_result(toy, monkeypatch):
     """Of 900 values more than a hundred are improbable."""
     made = toy(modes=30, sensors=28, parameters=12).drawn(np.random.default_rng(1))

@@ -164,7 +164,7 @@ def nearly(toy):
     return first(real, {"hidden": 12.0}, "partial")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_something_like_an_effect_is_told_with_a_range(nearly):
     assert nearly.chosen.names == ("E1",) and is_simpler_form(nearly)
     text = text_of(nearly)
@@ -239,7 +239,7 @@ def test_an_understated_standard_deviation_is_stated_with_its_factor(cases):
     assert found.noise_scale == pytest.approx(2.0, rel=0.1) and "a lack of" not in text
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_larger_standard_deviation_behind_a_named_effect_is_stated(toy):
     found = first(dressed(toy(modes=12, sensors=60, size=20.0)), {"E2": 1.0}, "effect", 2.0)
     assert f"The standard deviation was taken {found.noise_scale:.2g} times as large as stated." in text_of(found)

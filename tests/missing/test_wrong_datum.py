@@ -37,7 +37,7 @@ def spoilt(toy, rng, size):
     return replace(one, data=one.data + size * np.array([(row.mode, row.kind) == PLACE for row in toy.rows]))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("share", [pytest.param(0.0, marks=pytest.mark.slow), 0.3])
 def test_a_wrong_datum_is_not_named_an_effect(toy, share):
     made, rng = beside(toy(), share), np.random.default_rng(1)
@@ -54,7 +54,7 @@ def test_a_wrong_datum_is_not_named_an_effect(toy, share):
         assert ln_bayes == pytest.approx(0.5 * (z2 - 1 - np.log(z2)), abs=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_odds_of_a_datum_that_is_far_off_are_bounded(toy):
     found = decide(spoilt(beside(toy(), 0.3), np.random.default_rng(1), 60.0))
     assert found.verdict == "indistinguishable" and found.datum.ln_evidence - found.chosen.ln_evidence > 60
@@ -74,7 +74,7 @@ def test_a_wrong_datum_is_weighed_beside_the_effects_that_a_model_has(toy):
     assert found is not None and found.what == "frequency of M3" and found.ln_evidence > base.ln_evidence + 10
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wrong_datum_is_fitted_although_the_budget_is_used_up(toy):
     made, rng = beside(toy(), 0.0), np.random.default_rng(1)
     for _ in range(5):
@@ -101,7 +101,7 @@ def test_an_effect_on_other_data_too_stays_named(toy):
     assert any(f.suspects["explains"].any() for f in found)  # it was tested, and explained less
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_effects_on_two_modes_stay_named(toy):
     assert all(f.datum is None for f in toy().explained({"E2": 1.5}, 10))
 
@@ -123,7 +123,7 @@ def test_the_evidence_of_a_wrong_datum_is_that_of_its_most_likely_size(seed):
     assert ln_wrong(1e-3 * d, covariance) == pytest.approx(-0.5 * np.linalg.slogdet(covariance)[1], abs=1e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_datum_that_shifts_the_parameters_far_is_left_out_and_refitted(toy):
     """In a nonlinear model the predicted gain of a datum far off exceeds the whole misfit."""
     made, rng = beside(toy(curvature=0.05), 0.0), np.random.default_rng(2)

@@ -60,7 +60,7 @@ def test_several_records_have_the_standard_deviations_of_their_scatter():
     assert np.all(found.modes.shape_std.max(axis=0) > 0)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_band_and_a_faster_rate_leave_the_modes_as_they_are():
     low = modes_from_records([AMBIENT.record(CHAIN, 30_000, seed) for seed in (1, 2)], (1.0, 12.5))
     np.testing.assert_allclose(low.modes.natural_freq, FREQ[:2], rtol=5e-3)
@@ -159,7 +159,7 @@ def test_a_record_that_is_too_short_is_refused():
     assert fault.value.remedy
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_noise_alone_has_no_mode():
     rng, like = np.random.default_rng(5), AMBIENT.record(CHAIN, 1000, 1)
     with pytest.raises(InputError):

@@ -75,7 +75,7 @@ def test_many_lines_are_thinned_in_all_repeats_alike():
     assert np.all(found.modes.freq_std < few.freq_std)  # as many more lines tell more
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_repeats_give_standard_deviations_and_more_noise_larger_ones():
     found = modes_from_frfs(*chain(7, 2))
     assert found.std_from == "repeats" and found.modes.n_repeats == 2
@@ -85,7 +85,7 @@ def test_two_repeats_give_standard_deviations_and_more_noise_larger_ones():
     assert np.all(modes_from_frfs(*noisier).modes.damping_std > found.modes.damping_std)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_one_file_has_standard_deviations_of_its_residuals_and_says_so():
     errors = []
     for seed in range(3):
@@ -117,7 +117,7 @@ def test_a_roving_hammer_gives_the_shape_at_its_places():
     np.testing.assert_allclose(np.diag(mac(found.shapes, SHAPES[:, :3])), 1.0, atol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("spacing", [1 / 3, 1 / 7])
 def test_lines_that_a_file_rounds_to_six_digits_are_lines(spacing):
     """Abscissas of datasets 58 that pyuff 2.5.8 writes with spacing 0, and tables of most analysers, are rounded."""

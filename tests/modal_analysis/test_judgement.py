@@ -48,7 +48,7 @@ def test_an_accepted_frequency_is_that_of_the_nearest_refused_mode():
     assert "15 Hz" in str(fault.value) and "20, 20.5 Hz" in str(fault.value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_complex_shape_is_refused_under_one_reference_only():
     assert complex_shape(0.3, 40.0, 1) and not complex_shape(0.3, 40.0, 2)
     assert not complex_shape(0.9, 10.0, 1) and not complex_shape(np.nan, np.nan, 1)
@@ -59,7 +59,7 @@ def test_a_complex_shape_is_refused_under_one_reference_only():
     assert modes_from_frfs(turned(2)).modes.n_modes == 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_accepted_mode_has_its_standard_deviation_and_a_note_that_travels(tmp_path):
     found = modes_from_frfs(turned(), accept=[20.0])
     assert found.modes.natural_freq == pytest.approx([10.0, 20.0], rel=1e-3)
@@ -72,7 +72,7 @@ def test_an_accepted_mode_has_its_standard_deviation_and_a_note_that_travels(tmp
     np.testing.assert_allclose(again.damping_ratio, found.modes.damping_ratio)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_where_no_mode_counts_the_remedy_names_how_to_keep_one():
     alone = turned().in_band(15.0, 25.0)
     with pytest.raises(InputError) as fault:
@@ -92,7 +92,7 @@ def test_where_no_pole_is_stable_the_remedy_fits_the_lines():
     assert 'kind = "frf"' in fine and "finer" not in fine
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_line_at_zero_is_not_used():
     freq = np.linspace(0.0, 30.0, 301)
     frfs = turned(2, np.where(freq > 0, freq, 1e-9))

@@ -43,7 +43,7 @@ def scattered(moved, seed=0, proportional=False):
     return scatter(frfs, most_likely_model(frfs, poles()), 2)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_scatter_between_functions_and_the_means_are_those_of_the_functions():
     found = scattered(1e-3)
     np.testing.assert_allclose(found.between, 1e-3 * OFF.std(ddof=1), rtol=0.25)
@@ -53,14 +53,14 @@ def test_the_scatter_between_functions_and_the_means_are_those_of_the_functions(
     np.testing.assert_allclose(found.freq_std, TRUE * 1e-3 * OFF.std(ddof=1) / np.sqrt(6), rtol=0.3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("proportional", [False, True])
 def test_noise_alone_is_no_scatter_whatever_its_level_over_the_lines(proportional):
     for seed in range(4):
         assert np.array_equal(scattered(0.0, seed, proportional).between, [0.0, 0.0])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_standard_deviations_without_scatter_are_those_of_the_errors():
     off = []
     for found in (scattered(0.0, seed) for seed in range(8)):
@@ -70,7 +70,7 @@ def test_standard_deviations_without_scatter_are_those_of_the_errors():
     assert 0.5 < np.sqrt(np.mean(np.square(off))) < 1.4
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_functions_with_poles_of_their_own_describe_what_common_poles_do_not():
     frfs, found = measured(moved=2e-3), scattered(2e-3)
     common = most_likely_model(frfs, poles()).synthesised
@@ -79,7 +79,7 @@ def test_functions_with_poles_of_their_own_describe_what_common_poles_do_not():
     assert error[0] < 1.1 * noise and error[1] > 3 * noise
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_two_poles_of_one_moving_mode_are_one_and_those_of_a_pair_are_two():
     frfs = measured(moved=3e-3)
     split = np.concatenate([poles(TRUE[:1] - 0.15, DAMPING[:1]), poles(TRUE[:1] + 0.15, DAMPING[:1]), poles()[1:]])
@@ -89,7 +89,7 @@ def test_two_poles_of_one_moving_mode_are_one_and_those_of_a_pair_are_two():
     assert without_split(close, poles(pair, np.array([0.01, 0.01])), [20, 9]).tolist() == [0, 1]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_of_a_roving_mass_are_as_many_as_there_are_and_say_that_functions_differ():
     found = modes_from_frfs(measured(moved=3e-3))
     assert found.modes.n_modes == 2 and not found.missed and not found.fit["refused"].any()
@@ -109,7 +109,7 @@ def test_thinned_lines_tell_one_moving_mode_as_all_lines_do():
     np.testing.assert_allclose(found.modes.freq_std, all_lines.modes.freq_std, rtol=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_one_pole_of_two_modes_is_told_from_one_that_moves():
     pair = np.array([52.0, 52.15])  # a seventh of their widths
     close = measured(true=pair, damping=np.array([0.01, 0.01]), noise=0.001)
@@ -119,7 +119,7 @@ def test_one_pole_of_two_modes_is_told_from_one_that_moves():
     assert hidden_pairs(measured(moved=1e-3), poles(), scattered(1e-3)) == ()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_one_pole_that_describes_its_surroundings_as_well_as_two_is_one():
     """What the model lacks elsewhere in a band, such as modes above it, moves the poles of single functions too."""
     alone = scattered(0.0)

@@ -127,7 +127,7 @@ def many_modes():
     return MeasuredFRFs(freq, places, places[:1], "accelerance", values, std=std), own[:9]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_weak_modes_of_a_wide_band_count_by_its_parts(many_modes):
     frfs, own = many_modes
     poles = poles_by_order(frfs)

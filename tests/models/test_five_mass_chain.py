@@ -140,7 +140,7 @@ def explained(twin, seed, hidden):
     return decide(hypotheses_of(model, targets, model.space, chain_effects(), repeats=twin.REPEATS)), truth
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_is_named_where_nothing_is_missing(twin):
     for seed in range(4):
         found, _ = explained(twin, seed, "")
@@ -148,7 +148,7 @@ def test_nothing_is_named_where_nothing_is_missing(twin):
         assert found.evaluations < 150
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("hidden", [VISIBLE[0], *(pytest.param(name, marks=pytest.mark.slow) for name in VISIBLE[1:])])
 def test_the_hidden_effect_is_named_with_its_magnitude(twin, hidden):
     for seed in range(20, 23):
@@ -175,7 +175,7 @@ def blocks(language):
     return re.findall(rf"```{language}\n(.*?)```", (FOLDER / "README.md").read_text("utf-8"), re.DOTALL)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_study_says_it_is_synthetic_and_finds_what_was_hidden():
     study = LoadedStudy.load(FOLDER)
     assert study.synthetic and "SYNTHETIC" in (FOLDER / "measured.csv").read_text("utf-8")
@@ -211,7 +211,7 @@ def test_the_tutorial_shows_the_studys_own_effect_and_what_it_prints(monkeypatch
     assert capsys.readouterr().out == blocks("text")[0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_tutorials_own_effect_is_found_when_it_is_what_is_missing(twin):
     study = LoadedStudy.load(FOLDER)
     rng = np.random.default_rng(0)

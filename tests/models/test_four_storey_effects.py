@@ -78,14 +78,14 @@ def why(tmp_path_factory):
     return study.problem.calibrate(starts=1, progress=False).explain(list(four_storey_effects()), progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_measured_damping_shows_loss_at_the_ground(why):
     assert why.verdict == "effect"
     row = why.table.iloc[0]
     assert row["name"] == "foundation_damping" and row["magnitude_low"] > 1.0 and row["magnitude_high"] < 2.0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_frequencies_show_none_of_the_other_effects(why):
     scores = why.table.set_index("name")["z"].abs()
     assert scores[["foundation", "joint_rotation", "leaf_mass", "gravity", "top_mass", "cable"]].max() < 2.5
@@ -101,7 +101,7 @@ def test_without_that_effect_its_place_is_found_and_nothing_is_named():
     assert perturbation is not None and "c1" in str(perturbation.names)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_four_frequencies_for_four_parameters_tell_nothing():
     study = calib.Study.load(STUDY.parent / "four_storey_rig", workers=1)
     found = study.problem.calibrate(starts=1, progress=False).explain((), progress=False)

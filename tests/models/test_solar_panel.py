@@ -133,7 +133,7 @@ def test_parts_add_up_to_the_matrices(panel):
     assert panel.space.names == GROUPS
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_finer_mesh_is_softer_and_keeps_the_places(panel):
     fine = solar_panel(2)
     freq = [model.modes({}, 6).natural_freq for model in (panel, fine, solar_panel(4))]

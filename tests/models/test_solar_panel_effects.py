@@ -69,7 +69,7 @@ def test_an_effect_built_into_the_finer_mesh_shifts_frequencies_alike(coarse, fi
     assert name in ("hinge_damper", "cracked_row") or change > 2 * tolerance
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_flexible_hinge_is_a_split_node_on_the_same_mesh():
     """Exact but for the rotary inertia behind the hinge."""
     halved = solar_panel(2, frame=FRAME)
@@ -81,7 +81,7 @@ def test_a_flexible_hinge_is_a_split_node_on_the_same_mesh():
         assert np.abs(found / freq(halved, {}) - 1).max() > 0.05
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_damper_damps_as_the_one_with_two_feet(coarse):
     """Ratios of the bending modes, which turn the panels against each other."""
     effect = LIBRARY["hinge_damper"]

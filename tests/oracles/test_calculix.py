@@ -63,7 +63,7 @@ def test_numbers_are_written_with_a_point_and_two_digits_of_exponent():
     assert [number(v) for v in (1e7, -0.5, 0)] == ["1.000000E+07", "-5.000000E-01", "0.000000E+00"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_box_on_springs_vibrates_alike(tmp_path):
     if COMMAND is None:
         pytest.skip(MISSING)

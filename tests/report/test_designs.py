@@ -53,7 +53,7 @@ def test_lines_run_between_the_extremes_of_each_axis_and_the_best_are_on_top():
     assert thick == {f"design {design}" for design in table["design"][:2]}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_of_many_designs_the_best_and_evenly_chosen_ones_are_lines():
     table = designs(3 * MOST_LINES)
     ax = draw_parallel(table, ["k", "f"], "objective", 5)

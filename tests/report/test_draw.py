@@ -125,7 +125,7 @@ def test_the_heading_takes_no_room_from_the_data(synthetic):
     assert layout["rect"][3] * figure.get_size_inches()[1] == pytest.approx(3.0)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_figures_show_the_tables(folder, saved, before, convergence):
     keep_only(folder, "comparison_before", "comparison_after", "parameters", "convergence")
     Figures(folder, "Bogie", False).save()
@@ -137,7 +137,7 @@ def test_figures_show_the_tables(folder, saved, before, convergence):
     assert any("GB2" in t.get_text() for t in saved["parameters"].axes[0].get_legend().get_texts())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 def test_missing_tables_have_no_figures(folder, saved):
     for name in ("comparison_after", "mac_before", "deflection_after", "sensitivity", "parameters"):
@@ -151,7 +151,7 @@ def test_missing_tables_have_no_figures(folder, saved):
     ]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_mesh_of_lines_without_sensors_has_no_figure_of_the_model(folder, saved):
     keep_only(folder, *OF_THE_MODEL)
     (folder / "shapes_after.csv").unlink()
@@ -159,7 +159,7 @@ def test_a_mesh_of_lines_without_sensors_has_no_figure_of_the_model(folder, save
     assert "model_modes_after" in saved and not {"model", "mode_shapes_after"} & set(saved)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_of_every_stage_are_drawn_and_over_the_measurement_where_there_is_one(folder, saved):
     keep_only(folder, *OF_THE_MODEL)
     for name in ("deflection", "model_modes"):
@@ -250,7 +250,7 @@ def test_without_a_summary_no_case_is_best(folder, saved):
     assert "best" not in saved["parameters"].axes[0].get_legend().get_texts()[1].get_text()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_interruption_while_saving_leaves_the_old_picture(folder, monkeypatch):
     keep_only(folder, "convergence")
     (picture,) = Figures(folder, "Bogie", False).save()
@@ -293,7 +293,7 @@ def test_any_name_can_be_drawn_without_a_warning(folder, recwarn, figures):
         assert [p.stem for p in Figures(folder, name, False).save()] == ["convergence"] and not recwarn.list
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_path):
     with style():
         figure = new_figure(2.0)

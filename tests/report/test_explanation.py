@@ -104,7 +104,7 @@ def test_thin_lines_span_the_prior_widths(effects):
     assert spans == [[39.0, 41.0], [28.5, 30.0]]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_values_do_not_cover_the_line_of_the_threshold(effects):
     """They stand right of it, wherever their dot lies."""
     ax = draw_ranked_effects(effects.assign(ln_bayes=[-1.8, 3.9, 40.0, 0.0, -0.5]))
@@ -144,7 +144,7 @@ def test_visibility_is_the_smallest_over_the_plausible_magnitude(effects):
     assert beside == ["z", "probability", "10.0", "80 %", "9.0", "20 %", "−1.2", "–", "0.6", "–", "–", "–"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_both_panels_have_the_same_rows(effects):
     figure = ranked_effects_figure(effects)
     _, left, right = figure.axes
@@ -250,14 +250,14 @@ def saved(monkeypatch):
     return figures
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_table_of_a_folder_has_its_figure(folder, unrendered):
     written = Figures(folder, "Bogie", True).save()
     assert [p.stem for p in written] == FIGURES
     assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synthetic(folder, saved):
     Figures(folder, "Bogie", True).save()
     for figure in saved.values():
@@ -266,7 +266,7 @@ def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synth
     assert "Bogie: scores of local stiffness or mass changes: places to inspect, not causes" in heading
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("stage", "later"), [("explained", "after"), ("attempt", "attempt")])
 def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, later):
@@ -290,14 +290,14 @@ def test_an_attempt_is_never_drawn_as_the_missing_effect(folder, saved, stage, l
     assert ("with arb, calibrated" in texts["where_it_fails_sigma"]) == (stage == "explained")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_empty_cell_written_as_nan_is_empty(folder, saved, effects):
     effects.assign(implausible=nan).to_csv(folder / "effects.csv", index=False, na_rep="nan")
     Figures(folder, "Bogie", False).save()
     assert not [text for ax in saved["ranked_effects"].axes for text in words(ax) if "implausible" in text]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     ("gone", "figures"),

@@ -35,21 +35,21 @@ def drawn(folder, monkeypatch):
     return save
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_unchanged_tables_draw_nothing(folder, drawn):
     before = {file: file.read_bytes() for file in folder.glob("*.png")}
     assert len(before) >= 3 and drawn() == set()
     assert {file: file.read_bytes() for file in folder.glob("*.png")} == before
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_changed_table_draws_what_shows_it(folder, drawn, convergence):
     convergence.assign(best=convergence["best"] * 1.01).to_csv(folder / "convergence.csv", index=False)
     assert drawn() == {"convergence"}
     assert drawn() == set()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(
     "change", [{"title": "Tower"}, {"synthetic": False}, {"width": "column"}, {"formats": ("png", "svg")}]

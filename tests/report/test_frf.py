@@ -52,7 +52,7 @@ def of(table, name):
     return {kind: (own[f"{kind}_re"] + 1j * own[f"{kind}_im"]).to_numpy() for kind in ("measured", "model")}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_overlays_show_the_functions_that_agree_least_as_the_tables_have_them():
     tables = {stage: overlays(stage) for stage in STAGES}
     figure = overlay_figure(tables, STAGES)

@@ -10,7 +10,7 @@ from calib.report.style import add_heading, style
 STAGES = ("before", "after", "added")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("count", [1, 2, 3])
 def test_the_legend_covers_neither_heading_nor_curves(count):

@@ -62,7 +62,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     assert len(where_it_fails_figure(kinds[kinds["stage"] == "base"]).axes) == 2  # one panel and the colour bar
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_attempt_is_labelled_and_hatched(kinds):
     def panels(table, **more):
         return [ax for ax in where_it_fails_figure(table, **more).axes if ax.images][:2]

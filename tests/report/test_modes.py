@@ -52,7 +52,7 @@ def test_a_structure_of_similar_bodies_shows_all_pieces(deflection, mesh):
     assert whole.all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_panels_name_mode_damped_frequency_and_damping(hull, model_modes):
     rows = pd.concat([model_modes, model_modes.assign(mode="2BT", damped_freq=9.876, damping_ratio=0.0)])
     tables = [motion(hull, 1.0, [0.0, 0.0])[0].assign(mode="1BT"), motion(hull, 0.1, [1.0, -1.0])[0].assign(mode="2BT")]

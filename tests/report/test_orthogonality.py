@@ -35,7 +35,7 @@ def test_the_limits_are_those_of_the_sentence():
     assert (orthogonality.KEPT, orthogonality.LEAK) == (RULES.orthogonal_kept, RULES.orthogonal_leak)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_figure_holds_both_beside_each_other_and_large_ones_below(cross, own):
     figure = orthogonality_figure(cross, own)
     assert [framed(ax) for ax in figure.axes[:2]] == [[(1, 0), (2, 0), (2, 1)], [(0, 1), (1, 0)]]

@@ -90,7 +90,7 @@ def unbounded(tmp_path):
     return tmp_path, table
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_value_without_a_finite_interval_is_counted_and_not_drawn(unbounded):
     folder, table = unbounded
     ax = draw_predictions(table)
@@ -107,7 +107,7 @@ def test_without_any_finite_interval_the_figure_says_so():
     assert "no prediction has a finite interval" in [text.get_text() for text in ax.texts]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_page_counts_and_tells_what_the_tables_hold(tmp_path):
     made().to_csv(tmp_path / "unexplained_predictions.csv", index=False)
     ERRORS.to_csv(tmp_path / "unexplained_errors.csv", index=False)

@@ -58,7 +58,7 @@ def test_the_selection_stands_beside_each_parameter(selection):
     assert ax.get_ylim()[0] > ax.get_ylim()[1]  # first parameter on top
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_each_figure_is_drawn_when_its_table_is_there(tmp_path, unrendered, sensitivity, inputs, selection):
     sensitivity.to_csv(tmp_path / "partial.csv", index=False)
     assert [p.name for p in Figures(tmp_path, "Bogie", True).save()] == ["partial.png"]

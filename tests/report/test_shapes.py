@@ -107,7 +107,7 @@ def test_the_test_stands_beside_the_model_of_every_mode(shapes, deflection, mesh
         assert len(ends) and all(np.linalg.norm(dots - end, axis=1).min() < 1e-9 for end in ends)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_measured_shape_is_drawn_on_the_whole_mesh_where_it_is_expanded(shapes, deflection, mesh, pixels):
     """Its distance from the sensors' dots remains: the expansion explains half of the motion."""
     expanded = deflection.assign(v=0.5, u=0.0, w=0.0)

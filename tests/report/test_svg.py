@@ -69,7 +69,7 @@ def looks(element, around):
             yield from looks(child, {name: value for name, value in own.items() if name != "opacity"})
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_everything_has_the_style_that_matplotlib_gives_it(figure):
     (ax,) = figure.axes
     ax.set_yscale("log")  # powers of ten are formulas
@@ -110,7 +110,7 @@ def test_identifiers_of_two_figures_in_a_page_never_clash(figure):
         assert set(re.findall(r'(?:href="|url\()#([^")]*)', text)) == own
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_same_figure_gives_the_same_text(figure):
     assert svg_text(figure, "one") == svg_text(figure, "one")
 
@@ -120,7 +120,7 @@ def test_only_a_collection_takes_several_words():
         hover(Rectangle((0, 0), 1, 1), "one", "two")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_format_is_written_and_a_pdf_has_no_links(figure, tmp_path):
     with matplotlib.rc_context({"pdf.compression": 0}):
         written = save(figure, tmp_path / "drawn", ("pdf", "png", "svg"))

@@ -20,7 +20,7 @@ def points(path):
     return np.array(re.findall(r"(-?[\d.]+) (-?[\d.]+)", path), dtype=float)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_dots_of_a_hatch_are_arcs_of_their_centres_and_radius():
     with style():
         figure = new_figure(2.0)

@@ -137,7 +137,7 @@ def test_the_ten_best_candidates_are_drawn_from_no_gain(candidates):
     assert len(next_measurement_figure(candidates).axes) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_with_two_leading_effects_the_expected_bayes_factors_rank(candidates):
     ln_bayes = np.arange(14.0)[::-1]
     ends = {"ln_bayes_low": ln_bayes - 3, "ln_bayes_high": ln_bayes + 3}

@@ -107,7 +107,7 @@ def test_arrows_are_the_residuals_of_the_mode(misfit, structure):
     np.testing.assert_allclose(drawn(ax, "re tip"), drawn(ax, "re")[1::2])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_three_worst_modes_have_panels_on_one_scale(misfit, structure):
     figure = sensor_misfit_figure(misfit, structure)
     panels = [ax for ax in figure.axes if ax.get_subplotspec() is not None][1:]
@@ -144,7 +144,7 @@ def test_the_colour_scale_reaches_five_at_least(perturbations):
     assert score_limit(perturbations.iloc[:0]) == score_limit(perturbations.assign(score=np.nan)) == 5.0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_best_three_are_numbered_at_their_places_and_named(perturbations, structure):
     assert list(best_perturbations(perturbations)["perturbation"]) == ["spring 1", "damper 1", "spring 2"]
     figure = perturbation_map_figure(perturbations, structure)
@@ -162,7 +162,7 @@ def test_the_best_three_are_numbered_at_their_places_and_named(perturbations, st
     np.testing.assert_allclose(at, figure.axes[0].transData.transform(circle.get_offsets()[0]), atol=0.5)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("table", ["misfit", "perturbations"])
 def test_all_texts_lie_inside_the_picture_and_do_not_overlap(table, structure, request):
     given = request.getfixturevalue(table)

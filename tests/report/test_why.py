@@ -105,7 +105,7 @@ def test_names_of_lines_have_four_digits_and_do_not_meet():
     assert np.diff(heights).min() * 2.5 * 72 > 1.2 * ax.texts[0].get_fontsize()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_of_one_of_several_tests_its_share_of_the_whole_decrease_is_told(table):
     """Not a share of its own sum of squares, which no fit minimises by itself."""
     own = table[table["effect"] == "arb"]
@@ -132,7 +132,7 @@ def test_the_place_is_that_of_the_most_alike_perturbation_that_has_one(places):
     assert alike_words(places.assign(x=np.nan), "arb") == ""
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_places_are_drawn_with_their_correlation(places):
     ax = draw_alike(places, REST, effect="arb")
     (dots,) = [c for c in ax.collections if c.get_gid() == "correlation"]
@@ -198,7 +198,7 @@ def test_an_attempt_is_grey(table):
         }
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_figure_of_the_folder_needs_rows(table, places, tmp_path):
     places.to_csv(tmp_path / "why_places.csv", index=False)
     table.iloc[:0].to_csv(tmp_path / "why.csv", index=False)
@@ -232,7 +232,7 @@ def test_further_parameters_of_an_effect_stand_in_its_heading(table):
     assert "arb_freq = 14.3 Hz as fitted; in the list: natural frequency of it" in heading.split("\n")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_open_dots_of_imaginary_parts_are_in_the_legend(table):
     def legend(rows):
         figure = why_figure(rows)

@@ -82,7 +82,7 @@ def test_rows_of_sensors_on_a_car_are_joined_along_its_walls(tube):
     assert found == along | across
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.lists(st.integers(0, 49 * 16 - 1), min_size=2, max_size=12, unique=True))
 @settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_the_sensors_of_one_body_are_connected(tube, rows):

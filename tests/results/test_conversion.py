@@ -25,7 +25,7 @@ def version(path):
     return raw(path, "PRAGMA user_version")[0][0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("with_vectors", [True, False])
 def test_every_bit_is_kept(former, tmp_path, with_vectors):
     path = tmp_path / "ledger.sqlite"
@@ -96,7 +96,7 @@ def test_what_a_search_asks_is_answered_as_before(former, tmp_path):
             opened._database.execute("DELETE FROM evaluation")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_disk_gets_its_room_back(contents, tmp_path, monkeypatch):
     many = [
         Outcome({f"p{k}": i + k / 7.0 for k in range(16)}, "ok", {f"r{k}": i / (k + 3.0) for k in range(48)}, "", 0.1)
@@ -195,7 +195,7 @@ def _opened(path, number, gate):
         opened.append("three", [Outcome({"x": float(number)}, "ok", {"y": 1.0}), Outcome({"x": 0.0}, "ok", {"y": 0.0})])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_processes_that_open_it_at_once_convert_it_once(former, tmp_path):
     path, gate = tmp_path / "ledger.sqlite", FORK.Barrier(3)
     former.write(path)

@@ -93,7 +93,7 @@ def damaged(data, rng):
     return bytes(out[: rng.randrange(len(out))] if rng.random() < 0.1 else out)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("trials", [range(60), pytest.param(range(60, 260), marks=pytest.mark.slow)], ids=len)
 @pytest.mark.parametrize("version", ["whole", "of_version_1"])
 def test_a_damaged_ledger_is_used_or_refused(version, trials, request, tmp_path):

@@ -108,7 +108,7 @@ def test_a_known_point_is_never_evaluated_again(ledger):
     assert ledger.evaluate("f", [], evaluator) == [] and len(evaluator.batches) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_many_points_at_once(ledger):
     evaluator = Counting()
     batch = [{"x": float(k)} for k in range(1201)]
@@ -322,7 +322,7 @@ def _write(path, number, gate):
             ledger.append("f", [ok(x=float(k)), ok(x=float(1000 * number + k))])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_processes_on_one_ledger_wait_for_each_other(tmp_path):
     path, gate = tmp_path / "new" / "ledger.sqlite", FORK.Barrier(3)
     writers = [FORK.Process(target=_write, args=(path, k, gate)) for k in (1, 2, 3)]

@@ -97,7 +97,7 @@ def test_every_stage_is_noted_and_counts_now_and_then(home):
     assert seen[0] == "calibrate: sampling 1/100" and seen[-1] == "calibrate: least squares" and len(seen) < 20
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_command_tells_its_stages(tmp_path, monkeypatch, no_drawing):
     monkeypatch.chdir(tmp_path)
     write_example(tmp_path / "mast")

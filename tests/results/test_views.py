@@ -16,7 +16,7 @@ from calib.results.ledger.rows import packed_array
 pytestmark = pytest.mark.skipif(sqlite3.sqlite_version_info < (3, 38), reason="the views need SQLite 3.38")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.lists(st.floats(), max_size=8))
 @example([0.0, -0.0, 5e-324, -5e-324, 2.225073858507201e-308, 2.2250738585072014e-308, 1.7976931348623157e308])
 @example([math.nan, math.inf, -math.inf, 1.0, -1.0, 2.0**-1022, 2.0**1023, 0.1, 1 / 3])
@@ -65,7 +65,7 @@ def test_without_calib(tmp_path):
         ]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_names_stand_once(tmp_path):
     """Bytes of a row: its numbers and little else, whatever the length of names."""
     parameters, responses, count = 16, 48, 1000

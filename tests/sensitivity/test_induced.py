@@ -20,7 +20,7 @@ def test_input_correlation_agrees_with_an_independent_implementation(bound):
     assert input_correlation(points.assign(place=0.0))["place"].isna().all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.integers(0, 2**32 - 1))
 def test_own_and_induced_parts_add_up_to_spearman_and_the_partners_account_for_the_induced_one(seed):
     rng = np.random.default_rng(seed)

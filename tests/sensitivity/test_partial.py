@@ -17,7 +17,7 @@ def correlated(seed: int, n: int = 60, p: int = 4) -> tuple[pd.DataFrame, pd.Dat
     return points, responses
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.integers(0, 2**32 - 1))
 def test_it_is_the_inverse_of_the_rank_correlation_matrix(seed):
     """Textbook form (partial correlation from the precision matrix), an independent route to the same numbers."""

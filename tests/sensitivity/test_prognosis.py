@@ -71,7 +71,7 @@ def test_noise_alone_is_not_predicted():
     assert found.cop < 0.1 and found.inputs == () and (found.shares["cop"] < 0.1).all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_noise_bounds_the_prognosis_of_a_known_part():
     known = KNOWN["coupled quadratic"]
     points, response = known.designs(300, 2)

@@ -11,7 +11,7 @@ def rows(assessment):
     return assessment.selection.set_index("parameter")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(("tables", "allowed"), [(15, 2), pytest.param(100, 5, marks=pytest.mark.slow)])
 def test_measures_together_select_active_parameters_and_not_those_bound_to_them(draw, tables, allowed):
     wrong, right = 0, 0

@@ -23,7 +23,7 @@ def tables(seed: int, n: int = 40) -> tuple[pd.DataFrame, pd.DataFrame]:
     return points, responses
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.integers(0, 2**32 - 1))
 def test_it_agrees_with_an_independent_implementation(seed):
     points, responses = tables(seed)

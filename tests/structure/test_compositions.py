@@ -40,7 +40,7 @@ class Named:
     name: str
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bogie):
     """With the damping constant c and the lag t it is ``c l/(1 + c/k l)`` along each damper, ``t = c/k``."""
     parts, lag = ("primary damper front left", "primary damper rear right"), 7e-3
@@ -58,7 +58,7 @@ def test_the_dynamic_stiffness_of_mounted_dampers_is_that_of_maxwell_elements(bo
         np.testing.assert_allclose(with_it, sum(exact * np.outer(b, b) for b in rows), rtol=1e-9, atol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_damper_that_feeds_energy_in_has_no_mount(bogie):
     own = part_of(bogie, "damping", "primary damper front left")
     bent = sp.csr_array(sp.diags_array(np.eye(bogie.n_dof)[own.matrix.indices[0]]))
@@ -73,7 +73,7 @@ def test_a_damper_that_feeds_energy_in_has_no_mount(bogie):
         assert not list(of_mounts(model, Names(()), MIDDLE))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_mounts_are_composed_of_each_damper_and_of_those_of_one_kind(bogie):
     found = list(of_mounts(bogie, Names(()), MIDDLE))
     assert [c.count for c in found] == [1] * 4 + [2] * 4 + [4]

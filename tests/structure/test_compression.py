@@ -57,7 +57,7 @@ def test_corrected_eigenpairs_are_those_of_the_whole_problem(seed, strength):
     np.testing.assert_allclose(roots, expected, rtol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_cases_above_hold_heavily_damped_modes_and_overdamped_roots():
     found = [whole(problem(seed, strength=strength)) for seed in range(5) for strength in (1.0, 3.0, 100.0)]
     ratios = np.concatenate([-lam[:COUNT].real / np.abs(lam[:COUNT]) for lam, _, _ in found])

@@ -276,7 +276,7 @@ def test_only_parameters_at_a_root_are_moved_and_within_their_limits():
     assert beside_roots(space, roots, {"a": 1.0}, ("a", "c")) == {"a": 1.0, "b": 0.0, "c": 0.0}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_sparse_derivatives_are_the_same_whoever_shares_their_modes():
     model = bogie_on_rig()
     modes, rows = model.modes({}, 4), np.eye(model.n_dof)[[3, 40, 700]]

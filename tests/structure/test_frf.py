@@ -151,7 +151,7 @@ def test_on_a_reduced_basis_the_bogie_has_nearly_the_same_functions():
         assert np.abs(own - full).max() < 0.02 * np.abs(full).max()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_functions_of_further_motions_and_forces_follow_from_the_same_solutions():
     model = bogie_on_rig(element_size=0.3)
     rng, freq = np.random.default_rng(8), np.linspace(7.0, 31.0, 5)

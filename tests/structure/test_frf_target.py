@@ -46,7 +46,7 @@ def made(ladder):
     return model, target, train(model, model.space, target, seed=1)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_error_at_fresh_points_is_below_the_tolerance_and_as_estimated(made):
     model, target, basis = made
     reduced = ReducedModel(model, basis)
@@ -102,7 +102,7 @@ def test_the_estimate_is_the_dual_weighted_residual_with_the_static_inverse(resp
     np.testing.assert_allclose(found[0], static[np.ix_(responses, [1, 5])], atol=1e-12 * np.abs(static).max())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_basis_records_what_it_was_trained_for_and_how_well_it_is_met(made, tmp_path):
     _, target, basis = made
     table = basis.table()
@@ -124,7 +124,7 @@ def test_a_function_that_does_not_matter_asks_for_nothing(made):
     assert train(model, model.space, replace(target, std=one), seed=1).size < basis.size
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_derivatives_are_those_of_the_full_model(made):
     model, target, basis = made
     reduced, names = ReducedModel(model, basis), ("k_lower", "c_end", "mass")
@@ -173,7 +173,7 @@ def test_effects_meet_the_tolerance_too(made, effect, values):
         assert errors[0] > target.tolerance
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_enriching_meets_the_tolerance_outside_of_the_limits(made):
     model, target, _ = made
     narrow = train(model, model.space.keep(["mass"]), target, seed=1)

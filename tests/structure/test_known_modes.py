@@ -112,7 +112,7 @@ def dissipation(strength: float) -> sp.csc_array:
     return sp.csc_array(strength * sp.diags_array(own))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("strength", [0.1, 1.0])
 def test_damped_modes_are_those_of_differences(together, strength):
     k, m = membrane(0.3)

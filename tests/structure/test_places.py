@@ -62,7 +62,7 @@ def test_beams_without_motions_in_their_plane_are_no_springs():
     assert {p.form for p in places} == {"part"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_parameter_of_the_bogie_has_its_places():
     model = bogie_on_rig()
     places = [p for p in model.places if p.parameters]

@@ -83,7 +83,7 @@ def test_the_same_seed_gives_the_same_basis_and_another_does_not(trained):
     assert np.array_equal(one.vectors, same.vectors)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_basis_cannot_be_changed(trained):
     _, basis = trained
     for name in ("vectors", "samples", "checks", "reference", "lower", "upper"):
@@ -93,7 +93,7 @@ def test_a_basis_cannot_be_changed(trained):
         basis.version = 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_samples_take_every_position_and_keep_the_constraints(trained):
     model, basis = trained
     place = basis.samples[:, basis.names.index("place")]
@@ -106,7 +106,7 @@ def test_samples_take_every_position_and_keep_the_constraints(trained):
     assert {p["k_ground"] for p in points} == {30.0}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_enriching_gives_a_next_version_that_meets_the_tolerance_there(ladder):
     model = ladder(200)
     narrow = model.space.keep(["k_upper", "k_lower"])
@@ -164,7 +164,7 @@ def test_a_missed_copy_of_a_repeated_mode_is_reported(ladder):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_missed_mode_is_reported(ladder):
     """The indicator of a basis without a mode is small everywhere; only the full model reveals it."""
     model = ladder(damped=False)
@@ -205,7 +205,7 @@ def test_invalid_training_input_is_refused(ladder, options, words):
         train_basis(model, **arguments)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_file_gives_back_the_same_basis(trained, tmp_path):
     model, basis = trained
     basis.save(tmp_path / "basis.npz")

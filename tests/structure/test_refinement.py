@@ -44,7 +44,7 @@ def lifted(reduced, values):
     return replace(modes, shapes=reduced.lift(modes.shapes))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("damped", [True, False])
 @pytest.mark.parametrize("grounded", [True, pytest.param(False, marks=pytest.mark.slow)])
 def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
@@ -56,7 +56,7 @@ def test_refined_modes_are_those_of_the_full_model(coarse, damped, grounded):
         assert before[0] > 5 * after[0]  # there was something to refine
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_refined_modes_are_scaled_as_solved_ones(coarse):
     reduced = coarse(True, True)
     values = reduced.model.space.values
@@ -70,7 +70,7 @@ def test_refined_modes_are_scaled_as_solved_ones(coarse):
     assert zero.kind == free.model.modes(values, COUNT).excluded[0].kind
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_each_step_gains_orders_of_magnitude(coarse, monkeypatch):
     reduced = coarse(True, True)
     values = space_filling_points(reduced.model.space, 4, np.random.default_rng(9))[0]
@@ -81,7 +81,7 @@ def test_each_step_gains_orders_of_magnitude(coarse, monkeypatch):
     assert refined_modes(reduced, values, COUNT, accuracy=1e-300) is None  # too few steps: it says so
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_mode_that_leaves_the_nearly_critical_ones_is_refined_too(coarse, monkeypatch):
     """Modes above the largest damping ratio are corrected once, and asked again when a step has moved them below."""
     reduced = coarse(True, True)
@@ -109,7 +109,7 @@ def lacking(reduced, values, mode):
     return ReducedModel(reduced.model, replace(reduced.basis, vectors=basis @ rest))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("damped", [True, False])
 def test_a_mode_that_the_basis_lacks_is_counted_and_solved_for(coarse, damped, monkeypatch):
     reduced = coarse(damped, True)

@@ -147,7 +147,7 @@ def test_repeated_eigenvalues_are_all_found(n, damped):
     assert np.linalg.matrix_rank(modes.shapes, tol=1e-6 * np.abs(modes.shapes).max()) == 10
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("damped", [True, False])
 def test_many_copies_of_an_eigenvalue_are_all_found(damped):
     # Thirty equal oscillators among others, such as the seats of a car.
@@ -315,7 +315,7 @@ def test_the_four_equal_axle_torsions_of_the_bogie_are_all_found():
     assert np.count_nonzero(np.abs(damped[-1].natural_freq - 55.988) < 5e-3) == 4
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @given(st.integers(0, 2**32 - 1), st.integers(1, 9))
 @settings(max_examples=15)
 def test_deflation_finds_every_missed_eigenvector(seed, left_out):

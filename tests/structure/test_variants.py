@@ -72,7 +72,7 @@ def test_an_unknown_effect_is_refused(variants):
         variants.with_effects(("s1", "s9"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_on_a_reduced_basis(variants):
     model, local = variants.model, perturbations(variants.model, (), POINT, 1.0)
     basis = effect_basis(model, train_basis(model, model.space, 5, seed=1), model.space, EFFECTS, local, seed=2)

@@ -60,7 +60,7 @@ def both():
     return calib.Problem(WORLD.chain(), tests).calibrate(starts=1, progress=False)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     """By hand from the derivatives of each test at the joint fit, the prior counted once."""
     names, space = list(both.parameters.index), both.problem.space
@@ -78,7 +78,7 @@ def test_the_information_of_all_tests_is_the_sum_of_theirs(both):
     assert (told["all tests"] < 0.98 * told[["shaken", "tapped"]].min(axis=1)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
     joint, parts = both.problem.fit_problem, both.problem.fit_problem.parts
     labels = joint.labels
@@ -95,7 +95,7 @@ def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
     assert labels["sensor"].tolist() == [row.sensor for row in joint.rows]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
     adapter = together(adapters_for(both.problem.study()))
     base = adapter.hypotheses.fit_problem(())
@@ -134,7 +134,7 @@ def test_a_study_with_tests_of_its_own_takes_no_held_out_data_of_its_base(tmp_pa
     assert all(set(one.problem.targets) == {"y", "z"} and not one.unseen for one in study.studies)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
     """As an extended study does, which begins where the explanation ended."""
     study = write_study(tmp_path / "chain")
@@ -150,7 +150,7 @@ def test_a_study_may_name_parameters_of_a_test_itself(tmp_path):
                 load(study)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_faults_of_channels_of_the_same_name_belong_to_their_tests(tmp_path):
     """In Python and as a study: another test has its own cables."""
     frfs = WORLD.measured(3, share=0.1, floor=0.02)

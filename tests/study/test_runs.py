@@ -62,7 +62,7 @@ method = "gauss-newton"
     return folder / "study.toml"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_table_predicts_what_was_computed(tmp_path):
     problem = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], calib.ResponseTest(measured(0.005)))
     model = problem.model
@@ -75,7 +75,7 @@ def test_a_table_predicts_what_was_computed(tmp_path):
     assert fit.values["m"] == pytest.approx(TRUE["m"], rel=5e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_error_of_prediction_is_in_every_standard_deviation(tmp_path):
     rough = read_runs(written(tmp_path, table(noise=0.5)), inputs=["k", "m"])
     error = rough.metamodels.errors["f2"]
@@ -113,7 +113,7 @@ def test_a_study_of_a_table_tells_the_prognosis_of_its_runs_and_fits(tmp_path):
     assert values["k"] == pytest.approx(TRUE["k"], rel=0.01) and len(fit.table) == 2
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("response", "inputs", "words"),
     [("f1", ("k", "mu"), "'mu' is no input"), ("f1", ("k", "k"), "named twice"), ("f9", None, "no response 'f9'")],
@@ -130,7 +130,7 @@ def test_a_metamodel_is_drawn_by_its_name(tmp_path, response, inputs, words):
     assert not (tmp_path / "other.png").exists()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_another_table_is_another_model(tmp_path):
     one = read_runs(written(tmp_path, table()), inputs=["k", "m"])
     other = read_runs(written(tmp_path, table(seed=2)), inputs=["k", "m"])
@@ -188,7 +188,7 @@ def test_a_study_of_a_table_names_the_line_of_what_is_wrong(tmp_path, options, w
     assert str(file) in str(fault.value)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_other_metamodels_of_the_same_runs_are_another_model(tmp_path, monkeypatch):
     """Which are chosen depends on what is installed: points that others predicted are not found again."""
     path, before = written(tmp_path, table()), runs.prognosis

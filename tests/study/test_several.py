@@ -282,7 +282,7 @@ def test_another_model_is_fitted_beside(own, undrawn, tmp_path):
     assert any("in test bench" in name for name in found.of.explanation.base_adequacy.perturbations.owners)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_that_builds_on_another_takes_what_it_does_not_say(own):
     other = own.parent / "other"
     other.mkdir()

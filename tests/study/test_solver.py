@@ -108,7 +108,7 @@ def test_a_failure_tells_the_last_lines_and_keeps_its_folder(tmp_path):
     assert "k,2.0" in (kept / "values.csv").read_text()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_folders_of_failed_runs_are_kept_up_to_a_number(tmp_path):
     model = solver(tmp_path, "sys.exit(1)")
     told = []
@@ -282,7 +282,7 @@ def test_a_changed_template_outdates_results_where_no_code_is_run(tmp_path):
     assert state_differences(then, made_from(StudyFile.read(folder), "compare")) == ["solve.py.j2"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_comparison_does_not_rely_on_stored_runs_of_another_solver(tmp_path):
     """It reads a file that the study does not name."""
     folder = study(tmp_path / "chain", f"k = float(open({str(tmp_path / 'k')!r}).read())")

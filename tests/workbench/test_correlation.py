@@ -7,7 +7,7 @@ import pytest
 from calib.report.numbers import fixed, percent
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_matrix_and_the_pairs_are_those_of_the_tables(page, key, here):
     found = page.get(f"study/{key}/correlation").json()["correlation"]
     (stage,) = found["stages"]
@@ -21,7 +21,7 @@ def test_the_matrix_and_the_pairs_are_those_of_the_tables(page, key, here):
         assert (pair["error"], pair["mac"]) == (percent(row["freq_error"], 2, sign=True), fixed(row["mac"], 3))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_paired_model_mode_has_its_motion(page, key):
     found = page.get(f"study/{key}/correlation").json()["correlation"]
     (stage,), scene = found["stages"], found["scene"]
@@ -32,7 +32,7 @@ def test_every_paired_model_mode_has_its_motion(page, key):
         assert motions[str(pair["model_mode"])] == by_mode[pair["mode"]]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_study_without_a_comparison_has_none(here, page_of):
     import shutil
     from pathlib import Path

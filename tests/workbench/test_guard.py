@@ -106,7 +106,7 @@ def test_a_foreign_socket_is_refused(standing, headers):
         pass
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_link_that_leads_out_of_the_results_counts_as_missing(page, key, here):
     table = here / "results/mast/mac_before.csv"
     drawn = f"study/{key}/figure/mac_before"
@@ -197,7 +197,7 @@ def test_the_report_is_shown_where_it_can_ask_nothing(page, key, here):
     assert page.get(f"study/{key}/report").status_code == 404
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_nothing_that_is_asked_changes_a_file(page, key, here):
     before = {path: path.read_bytes() for path in here.rglob("*") if path.is_file()}
     for what in ("", "/search", "/missing", "/versions", "/scene", "/figure/mac_before", "/figure/comparison"):

@@ -205,7 +205,7 @@ def test_halves_of_a_symmetric_beam_mirror_each_other(line, natural_freq):
     np.testing.assert_allclose(natural_freq(line(6, 2.0, end=FIXED), 8), left, rtol=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("motions", [(5,), (4,), (4, 5)])
 def test_hinged_end_is_a_pinned_end(exact, section, natural_freq, motions):

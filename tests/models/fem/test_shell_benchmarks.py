@@ -113,7 +113,7 @@ def test_fine_meshes_converge():
     assert hemisphere(32) == pytest.approx(0.993, abs=3e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_the_drilling_factor_moves():
     # A tenth and ten times the default. Folded and cylindrical walls are hardly affected; a twisted wall becomes soft
     # with a small factor, a coarsely meshed doubly curved one stiff with a large one.
@@ -176,7 +176,7 @@ def window_wall(refinement: int, factor: float = 0.1) -> float:
     return float(load @ solve(s, held, load))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_wall_with_windows():
     # Sharp re-entrant corners let any mesh converge with the first power of the element size only.
     limit = 3.123e-8  # extrapolated from 2, 4, ... 32 elements across a pillar

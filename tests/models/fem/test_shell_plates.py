@@ -115,7 +115,7 @@ def parameters(case: str, n: int) -> np.ndarray:
     return 2 * np.pi * freq[rigid:] * np.sqrt(2700.0 * 1e-3 / sheet.bending[0, 0])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("case", [pytest.param(c, marks=[pytest.mark.slow] * (c == "free")) for c in LEISSA])
 def test_square_plates_agree_with_leissa(case):
     coarse, fine = parameters(case, 12), parameters(case, 24)

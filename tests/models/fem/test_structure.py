@@ -330,7 +330,7 @@ def test_parts_add_up_to_the_whole():
     assert {p.name for p in parts} >= {"floor", "side", "side, bending"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_model_of_panels_and_stiffeners_has_modes_and_sensor_rows():
     freq = []
     for refinement in (0, 1, 2):

@@ -43,7 +43,7 @@ def energy(matrix, q):
     return q @ (matrix @ q)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_frame_weighs_3455_kg(rig):
     _, _, m = rig.matrices({})
     assert pytest.approx(3455, abs=1) == FRAME

@@ -48,14 +48,14 @@ def mac(a, b):
     return abs(np.vdot(a, b)) ** 2 / (np.vdot(a, a).real * np.vdot(b, b).real)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_size_is_that_of_the_case_study_prototype(rig):
     assert len(rig.mesh.points) == pytest.approx(340, rel=0.1)
     assert 6 * len(rig.mesh.points) == pytest.approx(2000, rel=0.1)
     assert rig.n_dof == rig.dofs.expansion.shape[1] == len(rig.dofs.node) == len(rig.dofs.direction)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_eight_modes_lie_where_they_should(nominal):
     np.testing.assert_allclose(nominal.damped_freq[:8], DAMPED, rtol=0.01)
     np.testing.assert_allclose(nominal.damping_ratio[:4], RATIO, rtol=0.02)
@@ -67,7 +67,7 @@ def test_eight_modes_lie_where_they_should(nominal):
     )
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_first_four_modes_have_the_described_shapes(rig, nominal):
     motion, points = girder_motion(rig, nominal.shapes)
     x, z = points[:, 0], points[:, 2]
@@ -92,7 +92,7 @@ def test_wheelset_modes_have_the_described_shapes(rig, nominal):
         assert (sides[0] / sides[1]).real == pytest.approx(-1.0 if yaw else 1.0, abs=0.05)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_primary_suspension_governs_1bt_and_4bt(steps):
     for mode in ("1BT", "4BT"):
         mine = steps["K_primary"][mode]
@@ -101,7 +101,7 @@ def test_primary_suspension_governs_1bt_and_4bt(steps):
         assert mine > 1.2 * max(others)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_elastic_blocks_govern_2bt_and_3bt_alone(steps):
     for mode in ("2BT", "3BT"):
         mine = steps["K_block"][mode]
@@ -113,7 +113,7 @@ def test_elastic_blocks_govern_2bt_and_3bt_alone(steps):
         assert abs(steps["K_block"][mode]) < 0.01
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_rods_govern_the_wheelset_modes(steps):
     for mode in NAMES[4:]:
         assert steps["K_rod_upper"][mode] > 1.5
@@ -156,7 +156,7 @@ def test_actuator_places_change_shapes(rig, nominal, mode):
     assert mac(base[:, mode], aside[:, mode]) < 0.95
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("side", ["left", pytest.param("right", marks=pytest.mark.slow)])
 def test_every_actuator_place_is_valid_and_different(rig, side):
     found = []
@@ -188,7 +188,7 @@ def test_swapping_sides_mirrors_the_bogie(rig, left, right):
         assert mac(a[:, mode], b[mirrored, mode]) == pytest.approx(1.0, abs=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_halving_the_elements_moves_no_mode_by_more_than_a_twentieth_of_a_percent(nominal):
     fine = bogie_on_rig(element_size=0.0375)
     modes = fine.modes({}, 8)
@@ -196,7 +196,7 @@ def test_halving_the_elements_moves_no_mode_by_more_than_a_twentieth_of_a_percen
     np.testing.assert_allclose(modes.damping_ratio[:4], nominal.damping_ratio[:4], rtol=1e-3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_distributed_masses_are_a_small_change_but_one(nominal):
     modes = bogie_on_rig(distributed=True).modes({}, 8)
     change = np.abs(modes.natural_freq / nominal.natural_freq[:8] - 1)

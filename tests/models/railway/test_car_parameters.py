@@ -32,7 +32,7 @@ DETERMINISTIC = {"rho_alu", "E_alu", "e_bas", "e_par", "e_cob"}
 BY_SYMBOL = {p.symbol: p for p in CAR}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_table_is_complete_and_names_are_unique(car):
     assert list(BY_SYMBOL) == list(PUBLISHED)
     assert all(p.source.endswith("Table 1") and p.description for p in CAR)
@@ -69,7 +69,7 @@ def test_nominal_shares_of_the_further_equipment_make_a_whole():
     space.require_feasible()
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_assumptions_of_the_vehicle_are_listed_once_each_with_a_reason(car):
     items = [a.item for a in car.assumptions]
     assert len(set(items)) == len(items)

@@ -59,7 +59,7 @@ def coarse(effect_checks):
 # -- all of them -------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_names_are_unique_and_not_those_of_parameters():
     every = [name for e in bogie_effects() for name in e.names]
     assert len(set(every)) == len(every) and not set(every) & set(base().space.names)
@@ -68,7 +68,7 @@ def test_names_are_unique_and_not_those_of_parameters():
         assert e.title and e.lacks.endswith(".") and e.look_for.endswith(".") and e.magnitude.description
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_magnitude_zero_leaves_the_base_model(library, name):
@@ -137,7 +137,7 @@ def test_an_effect_is_the_same_on_the_fine_and_the_fitted_mesh(effect_checks, na
 # -- signatures --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize("name", NAMES)
 def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, effect_checks, name):
@@ -146,7 +146,7 @@ def test_parameters_of_the_base_model_cannot_do_what_an_effect_does(library, eff
         assert effect_checks.outside(vector, library.columns(), prior=True) > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_wood_bends_as_actuators_give_way(library, effect_checks):
     # Only the prior of the wood separates these two at the sensors of the study.
     (vector,) = library.signatures("actuator_flexibility")

@@ -94,14 +94,14 @@ def test_only_what_stands_on_the_ground_holds_a_bogie_that_rises(rigid):
         assert weight == pytest.approx(expected, abs=1e-6), name
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_block_tilt_resists_a_block_that_tilts(rigid):
     tilted = rigid(base(), 3, {"block_left"}, (0.0, rig.BLOCK_Y, rig.BLOCK_Z))
     stiffness = change("block_tilt", {"block_tilt": 70.0})[0]
     assert tilted @ stiffness @ tilted == pytest.approx(70e3)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_blocks_and_rods_dissipate_as_they_store():
     terms = {t.name: t.matrix for t in base().stiffness.terms}
     blocks, rods = change("block_damping", {"block_damping": 3.0})[1], change("rod_damping", {"rod_damping": 2.0})[1]
@@ -109,7 +109,7 @@ def test_blocks_and_rods_dissipate_as_they_store():
     assert abs(rods - 2e3 * (terms["K_rod_upper"] + terms["K_rod_lower"])).max() < 1e-9
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_one_corner_only(rigid):
     raised = rigid(base(), 1, {"axle_front", "box_front_left", "box_front_right"})
     springs = change("primary_uneven", {"primary_uneven": 0.25})[0]
@@ -121,7 +121,7 @@ def test_one_corner_only(rigid):
         assert np.all(touched[:, [0, 2]] > 1.0)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_soft_mounts_are_in_series_with_the_dampers():
     c, s, root, n = 18e3, 300e-9, 80j - 5, base().n_dof
     k, damping, _ = with_effect("damper_mount").matrices({"damper_mount": 300.0})
@@ -146,7 +146,7 @@ def test_rolling_wheels_are_heavier_lengthwise(rigid):
     assert ahead @ mass @ ahead == pytest.approx(2 * 48.0 / 0.43**2)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("twin", [False, pytest.param(True, marks=pytest.mark.slow)])
 def test_gear_case_off_the_middle_turns_on_an_arm(rigid, twin):
     model, centre, mass, e = base(twin), (AXLE_X, AXLE_Y, 0.0), 300.0, 0.2

@@ -82,7 +82,7 @@ def test_a_gear_case_off_the_middle_bends_its_axle_less(base):
     np.testing.assert_allclose(found.natural_freq / base.modes({}, MODES).natural_freq - 1, change, atol=5e-4)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("name", "scaled", "kind"),
     [("block_damping", "c_primary", 1), ("rod_damping", "c_primary", 1), ("block_tilt", "K_block", 0)],

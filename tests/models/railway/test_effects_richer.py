@@ -38,7 +38,7 @@ def test_three_effects_have_families():
         assert all(p.description for p in e.nuisance)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", RICHER)
 def test_magnitude_zero_leaves_the_base_model(name):
     n = base().n_dof
@@ -47,7 +47,7 @@ def test_magnitude_zero_leaves_the_base_model(name):
         assert own[:n, n:].count_nonzero() == 0
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("name", RICHER)
 def test_no_matrix_is_negative_anywhere(name):
     """Not even at both ends of all limits; scaled by the diagonal, as small terms are negative by rounding only."""
@@ -62,7 +62,7 @@ def test_no_matrix_is_negative_anywhere(name):
         assert la.eigvalsh(size[:, None] * full * size).min() > -1e-6
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_small_body_on_the_axis_is_the_point_mass():
     values = {"crossbar_body": 150.0, "crossbar_body_lower": 0.0, "crossbar_body_radius": 0.015}
     found = with_effect("crossbar_body").modes(values, 10).natural_freq

@@ -37,7 +37,7 @@ DETERMINISTIC = {"Krc", "Me"}
 BY_SYMBOL = {p.symbol: p for p in BOGIE + RIG}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_tables_are_complete():
     assert list(BY_SYMBOL) == list(PUBLISHED)
     assert all(p.source.endswith("Table 3") for p in BOGIE) and all(p.source.endswith("Table 5") for p in RIG)
@@ -90,7 +90,7 @@ def test_every_assumption_says_what_how_much_and_why(assumption):
     assert assumption.unit == "-" or any(letter.isalpha() for letter in assumption.unit)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_assumptions_of_the_model_are_those_of_its_parts_without_repeats():
     listed = bogie_on_rig().assumptions
     assert listed == BOGIE_ASSUMPTIONS + RIG_ASSUMPTIONS

@@ -39,7 +39,7 @@ def moved(car, undamped, classical, name_modes):
     return change
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_size_is_that_of_the_case_study(car):
     structure = car.locator.frame
     assert len(structure.points) == pytest.approx(1902, rel=0.1)
@@ -69,13 +69,13 @@ def test_seats_are_oscillators_of_one_degree_of_freedom_at_22_hz(car):
     np.testing.assert_allclose(np.diag(c) / (2 * np.sqrt(np.diag(k) * np.diag(m))), 0.072, rtol=0.01)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_seats_do_not_disturb_measured_modes(car, damped, which):
     shares = car.energy_shares({}, damped.shapes, ["seats.y"])[0]
     assert max(shares[k] for k in which.index.values()) < 0.12
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_no_matrix_has_a_negative_direction(car):
     k, c, m = car.matrices({})
     for matrix in (k, c, m):
@@ -88,7 +88,7 @@ def test_no_matrix_has_a_negative_direction(car):
         assert np.all(symmetric_factor(sp.csc_array(lifted)).U.diagonal() > 0)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_modes_lie_in_the_ranges_of_the_case_study(damped, which):
     freq = {name: damped.damped_freq[k] for name, k in which.index.items()}
     assert 0.6 < freq["1C"] < freq["2C"] < freq["3C"] < 2.5
@@ -100,7 +100,7 @@ def test_modes_lie_in_the_ranges_of_the_case_study(damped, which):
     assert not damped.excluded or all(root.kind == "overdamped" for root in damped.excluded)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_damped_bogie_modes_lie_above_undamped_ones_as_in_table_4(damped, which, undamped, classical):
     def ratio(name):
         return damped.damped_freq[which.index[name]] / undamped.natural_freq[classical.index[name]]
@@ -113,13 +113,13 @@ def test_damped_bogie_modes_lie_above_undamped_ones_as_in_table_4(damped, which,
         assert 1.0 <= ratio(name) < 1.1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_named_mode_has_the_shape_of_its_name(classical):
     for name, alike in classical.alike.items():
         assert alike > (0.5 if name == "5C" else 0.75), name
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_left_and_right_are_mirror_images(classical, vehicle_sensors):
     y = [(s.point, k) for k, s in enumerate(vehicle_sensors) if s.direction == "y"]
     pairs = [(k, j) for p, k in y for q, j in y if p[2] > 0 and q == (p[0], p[1], -p[2])]
@@ -130,7 +130,7 @@ def test_left_and_right_are_mirror_images(classical, vehicle_sensors):
         np.testing.assert_allclose(left[:, k], sign * right[:, k], atol=1e-6 * np.abs(left[:, k]).max())
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_strain_energy_lies_where_the_mode_is_measured(car, damped, which):
     def share(name, clusters):
         return car.energy_shares({}, damped.shapes[:, [which.index[name]]], clusters).sum()
@@ -147,7 +147,7 @@ def test_strain_energy_lies_where_the_mode_is_measured(car, damped, which):
         assert share(name, [*frames, "front_frame.x", "rear_frame.x"]) > 0.7
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_secondary_springs_move_the_rigid_modes_alone(moved):
     change = moved({"K_secondary_front": 1.1 * 256.4, "K_secondary_rear": 1.1 * 256.4})
     assert min(change[name] for name in ("1C", "2C", "3C")) > 2.0
@@ -209,7 +209,7 @@ def test_sensors_of_the_case_study_find_their_places(car, vehicle_sensors):
     np.testing.assert_allclose(rows @ rise, [s.direction == "y" for s in vehicle_sensors], atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_bogie_under_the_car_is_the_bogie_of_the_rig(car):
     # Without bolsters, and shifted: the frames' steel, springs and masses are those of the first phase.
     rig = bogie_on_rig(element_size=0.15)

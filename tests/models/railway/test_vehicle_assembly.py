@@ -40,7 +40,7 @@ def rigid_motions(points, about=(0.0, 0.0, 0.0)):
     return out
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_spring_dampers_are_as_many_as_in_the_case_study(whole):
     # A spring with its lateral part counts once, and so does a damper beside a spring.
     count = {name: len(springs) for name, springs in whole.springs.items()}
@@ -50,7 +50,7 @@ def test_spring_dampers_are_as_many_as_in_the_case_study(whole):
     assert together + len(whole.dampers["c_primary"]) + len(whole.dampers["c_yaw"]) == 148
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_attachments_openings_and_edges_stay_where_they_are(whole, fine):
     assert whole.structure.rbe3s == fine.structure.rbe3s
     for own, other in ((whole.springs, fine.springs), (whole.dampers, fine.dampers)):
@@ -66,7 +66,7 @@ def test_attachments_openings_and_edges_stay_where_they_are(whole, fine):
         assert structure.area(("walls",)) == pytest.approx(whole.structure.area(("walls",)), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_heavy_attachments_stand_on_nodes_at_every_density(whole, fine):
     for structure in (whole.structure, fine.structure):
         nodes = structure.points[[b == "car" for b in structure.bodies]]
@@ -78,7 +78,7 @@ def test_heavy_attachments_stand_on_nodes_at_every_density(whole, fine):
                 assert np.linalg.norm(nodes - foot, axis=1).min() < 1e-9, rbe3.name
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_twice_as_fine_means_a_quarter_of_every_shell(whole, fine):
     assert len(fine.structure.corners) == 4 * len(whole.structure.corners)
     frames = [np.array([m.body == "car" for m in s.members])[s.member_of] for s in (whole.structure, fine.structure)]
@@ -118,7 +118,7 @@ def polygon(points):
     return sum(np.hypot(*np.subtract(b, a)) for a, b in pairwise(points))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_car_body_weighs_what_its_drawing_says(whole):
     length = 25.9
     y = [p[0] for p in WALL]
@@ -226,7 +226,7 @@ def test_floor_links_are_the_stiff_ones(whole):
     assert weights == [K_PAD, K_LATERAL, K_TRACTION]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_rigid_seats_weigh_the_same_and_ride_on_the_floor(whole):
     rigid = assembly(seats="rigid")
     sprung, fixed = ([m for m in a.masses if m.name.startswith("seats")] for a in (whole, rigid))

@@ -65,7 +65,7 @@ def test_soft_window_corners_give_their_share_of_pillars_that_bend_evenly(alone,
     assert lost == pytest.approx(-share * rigidity * kappa**2 * (2.75 - 1.80), rel=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_panes_resist_shear_of_their_openings_alone(alone, energy):
     stiffness = alone.change("window_glass", {"window_glass": 8.0})[0]
     lengthwise = energy(stiffness, alone.field(lambda x, y, z: (1e-3 * y, 0, 0, 0, 0, 0)))
@@ -78,7 +78,7 @@ def test_panes_resist_shear_of_their_openings_alone(alone, energy):
     assert max(turned, stretched) < 0.01 * lengthwise
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_free_body_in_bending_has_the_damping_ratio_that_is_asked_for(alone, rigid_car):
     # zeta = phi^T C phi/(2 omega) for phi of unit mass and omega^2 = phi^T K phi: any shape of the aluminium shows it.
     damping = alone.change("body_damping", {"body_damping": 2.0})[1]
@@ -93,7 +93,7 @@ def test_a_free_body_in_bending_has_the_damping_ratio_that_is_asked_for(alone, r
     assert shape @ damping @ shape / (2 * mass * 2 * np.pi * 10.0) == pytest.approx(0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_neighbour_holds_the_rear_end_against_rising_and_lengthwise(alone, energy):
     stiffness = alone.change("neighbour_coupling", {"neighbour_coupling": 400.0})[0]
     assert energy(stiffness, alone.rigid(0, {"car"})) == pytest.approx(400e3)

@@ -84,7 +84,7 @@ def test_without_stiffness_the_air_leaves_no_mode(rigid_car, stiffness):
     np.testing.assert_allclose(found, rigid_car.modes({}, 15).natural_freq, rtol=1e-6)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_seats_that_are_stiff_sideways_are_the_listed_ones(alone, rigid_car):
     carrier = np.random.default_rng(1).standard_normal((rigid_car.n_dof, 2))
     for sag, lam in ((0.3, 20j), (2.0, 60j - 4)):

@@ -105,7 +105,7 @@ def test_a_wall_that_stretches_beyond_small_strains_is_refused():
         base_tire().inflate(4e6, 12, 8)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_rotations_are_warned_of_at_the_limit_and_refused_beyond_with_the_good_steps_kept(ground, recwarn):
     load_curve(ground, np.array([4e-3]))
     assert not recwarn.list

@@ -23,7 +23,7 @@ def pressed(ground):
     return load_curve(ground, DEFLECTION).complete().last
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize(("pressure", "force"), [(1e5, 806), (2e5, 1303), (3e5, 1763)])
 def test_forces_at_three_pressures(pressure, force):
@@ -35,7 +35,7 @@ def test_forces_at_three_pressures(pressure, force):
     assert centre / pressure == pytest.approx(1.0, abs=0.06)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_load_is_the_derivative_of_the_energy_by_the_deflection(ground, pressed):
     h = 1e-5
     low, high = (load_curve(ground, DEFLECTION + x).last for x in (-h, h))
@@ -104,7 +104,7 @@ def test_belt_and_tread_carry_more():
         assert 1.05 * plain < load_curve(other.on_ground(2e5, 29, 16), DEFLECTION).last.load < 1.6 * plain
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_deflections_beyond_the_theory_are_warned_of_and_end_the_curve_with_its_good_steps(ground):
     with pytest.warns(RotationWarning):
         curve = load_curve(ground, np.linspace(5e-3, 40e-3, 8))

@@ -61,7 +61,7 @@ def test_derivatives_are_those_of_solved_points(found, name):
         assert out[slope_entry(key, name)] == pytest.approx(difference, abs=1e-3 * scale), key
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_derivatives_exist_for_what_is_among_the_values(found):
     values, out = found
     assert (slope_entry("load_12", "belt_angle") in out) == ("belt_angle" in values)

@@ -46,7 +46,7 @@ def test_hoop_orders_need_equal_cells_and_enough_of_them(even):
         hoop_modes(even, np.array([6]))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_patch_and_load_change_continuously_with_the_deflection():
     """Nodes touch one by one; edges between them are interpolated."""
     deflections = tuple(np.round(np.arange(8.0, 12.0, 0.1), 6))

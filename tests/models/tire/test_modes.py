@@ -94,7 +94,7 @@ def test_torsion_of_a_clamped_cylinder():
     assert orders_of(errors) == pytest.approx(np.full((2, 3), 2.0), abs=0.1)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("order", "cells", "tolerance"),
     [(3, (10, 20), 4e-3), *(pytest.param(n, (16, 32, 64), 2e-4, marks=pytest.mark.slow) for n in (1, 2, 5))],

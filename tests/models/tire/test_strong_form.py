@@ -80,7 +80,7 @@ def test_the_operators_are_complete_and_self_adjoint_in_their_highest_derivative
             assert found[f, m, a, b] == (-1) ** (a + b) * factor
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("order", [pytest.param(0, marks=pytest.mark.slow), 2])
 def test_both_forms_approach_the_same_displacements_of_a_laminate_with_every_coupling(order):
     surface, stiffness = Torus(reach=np.pi / 2), laminate(8e-3, 20.0, 70.0, -10.0)

@@ -16,7 +16,7 @@ from tests.report.html.page_blocks import Picture, Table, section_blocks
 TITLE = "A mast that may lack something"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_picture_of_the_place_is_the_first_figure_and_shows_what_is_named(everything, read, blocks):
     assert read.named("figure")[0]["id"] == "answer"
     picture = blocks(everything, Picture)["answer"]
@@ -30,7 +30,7 @@ def test_the_picture_of_the_place_is_the_first_figure_and_shows_what_is_named(ev
     assert float(own[6]) == pytest.approx(size, rel=1e-3)  # and the magnitude is the one above
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_doubts_are_numbered_each_with_its_check(everything, results, text):
     stored = json.loads((everything / "explanation.json").read_text())["doubts"]
     assert stored
@@ -40,7 +40,7 @@ def test_doubts_are_numbered_each_with_its_check(everything, results, text):
     assert [doubt for doubt, _ in answer.doubts(results)[: len(stored)]] == [one["doubt"] for one in stored]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_test_order_keeps_the_case_of_units_and_names(everything, folder):
     steps = pd.read_csv(everything / "test_order.csv")
     row = {"step": 1, "kind": "mode", "what": "mode K1", "excite": "at K1", "sensors": "1x", "how": "band 1 to 2 Hz"}
@@ -52,7 +52,7 @@ def test_a_test_order_keeps_the_case_of_units_and_names(everything, folder):
         assert words in order.body
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_mode_that_an_effect_adds_and_nobody_measured_is_a_doubt(folder):
     added = json.loads((folder / "added.json").read_text())
     own = {"effect": "guy", "natural_freq": 20.0, "share": 0.8, "paired": ""}
@@ -61,7 +61,7 @@ def test_a_mode_that_an_effect_adds_and_nobody_measured_is_a_doubt(folder):
     assert len(found) == 1 and "18 Hz" in found[0] and "22 Hz" in found[0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_an_explanation_the_errors_of_all_modes_stand_first(folder):
     for name in ("explanation.json", *(file.name for file in folder.glob("added*"))):
         (folder / name).unlink()
@@ -71,7 +71,7 @@ def test_without_an_explanation_the_errors_of_all_modes_stand_first(folder):
     assert all(one.folded for one in others if one.name != "not_run")
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_comparison_alone_stands_open(folder):
     for name in ("explanation.json", "parameters.csv", "verdicts.csv", *(f.name for f in folder.glob("added*"))):
         (folder / name).unlink()
@@ -79,7 +79,7 @@ def test_a_comparison_alone_stands_open(folder):
     assert [one.name for one in shown if not one.folded] == ["compared", "not_run"]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_page_of_an_extended_study_names_what_was_added_and_links_to_the_first(everything):
     own = everything.parent / f"{everything.name}_extended"
     extended = StudyResults(own, f"{TITLE} + guy", True)

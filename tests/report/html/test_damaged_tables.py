@@ -31,7 +31,7 @@ def damaged_tables():
         sys.path.remove(str(BENCH))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("trials", [20, pytest.param(400, marks=pytest.mark.slow)])
 def test_damaged_tables_are_read_or_refused(damaged_tables, everything, scalar, unrendered, tmp_path, trials):
     studies = [(home.parent.parent / home.name, home) for home in (everything, scalar)]
@@ -62,7 +62,7 @@ def reads(part, results, name):
     return name in vars(results)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("trials", [4, pytest.param(48, marks=pytest.mark.slow)])
 @pytest.mark.parametrize(
     "name", ["summary", *(pytest.param(name, marks=pytest.mark.slow) for name in ("record", "explanation"))]

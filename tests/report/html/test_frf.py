@@ -35,7 +35,7 @@ def number(cell):
     return float(cell.replace("−", "-"))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_measured_function_is_told_with_its_use(chain, blocks):
     found = tables(blocks)["Every measured FRF"]
     expected = pd.read_csv(chain / "measured.csv")
@@ -49,7 +49,7 @@ def test_every_measured_function_is_told_with_its_use(chain, blocks):
     assert (f"Validation data, in no fit: {', '.join(held)}." if held else "No function is kept") in intro
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_notes_on_the_measurement_are_reported(chain, tmp_path):
     folder = Path(shutil.copytree(chain, tmp_path / "chain"))
     record = json.loads((folder / "record.json").read_text("utf-8"))
@@ -58,7 +58,7 @@ def test_notes_on_the_measurement_are_reported(chain, tmp_path):
     assert every.count(Words("Channel 2 was repaired.", "reported")) == 1
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize("stage", ["before", "after"])
 def test_every_function_is_compared_as_in_the_table(chain, blocks, stage):
     expected = pd.read_csv(chain / f"comparison_{stage}.csv").sort_values("frac", kind="stable")

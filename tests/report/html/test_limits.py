@@ -25,7 +25,7 @@ def key(folder, blocks):
     return {row[0].split()[0]: row for row in blocks(folder, Table)[KEY].rows}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limits(results):
     every = page_blocks(results)
     (place,) = [k for k, block in enumerate(every) if isinstance(block, Table) and block.caption == KEY]
@@ -37,7 +37,7 @@ def test_the_key_stands_once_before_every_table_and_figure_of_p_values_and_limit
     assert "p" not in terms  # told by the key
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_limits_are_those_of_the_tests(everything, blocks):
     rows = key(everything, blocks)
     pulls, effects = pd.read_csv(everything / "pulls.csv"), pd.read_csv(everything / "effects.csv")
@@ -49,7 +49,7 @@ def test_the_limits_are_those_of_the_tests(everything, blocks):
     assert rows["score"][1] == f"± {fixed(norm.isf(0.01 / 2 / scores.notna().sum()), 1)}"
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     rows = key(everything, blocks)
     effects, found = pd.read_csv(everything / "effects.csv"), json.loads((everything / "explanation.json").read_text())
@@ -69,7 +69,7 @@ def test_what_lies_beyond_a_limit_is_named_or_counted(everything, blocks):
     assert rows["score"][3] == f"{count} of {len(scores)}" and count
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, blocks):
     table = pd.read_csv(folder / "effects.csv")
     limit = 3 + math.log(len(table))
@@ -79,7 +79,7 @@ def test_an_effect_below_the_limit_of_the_evidence_is_not_beyond_it(folder, bloc
     assert key(folder, blocks)["evidence"][3] == table["name"][0]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_effects_above_the_limit_that_were_not_refitted_are_said_to_be_predicted_only(folder, blocks):
     table = pd.read_csv(folder / "effects.csv")
     assert len(table) >= 4
@@ -104,7 +104,7 @@ def test_the_levels_are_those_of_the_analyses():
     assert (RULES.credible, RULES.confounded) == (LEAST_BAYES_FACTOR, COLLINEAR)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.parametrize("pulled", [(), (0,), (0, 2)])
 def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
@@ -115,7 +115,7 @@ def test_pulled_parameters_are_named_with_their_model(folder, blocks, pulled):
     assert key(folder, blocks)["shift"][3] == (", ".join(names) or NONE)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_an_explanation_p_is_told_with_the_errors(folder, blocks):
     (folder / "explanation.json").unlink()
     assert KEY not in blocks(folder, Table)

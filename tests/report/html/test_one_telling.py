@@ -37,7 +37,7 @@ def test_identified_parameters_are_counted_once(everything, results):
     assert identified_sentence(verdicts).startswith(counted)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_figures_of_the_parameters_are_those_of_the_page(folder, parameters, blocks):
     span = parameters["upper"] - parameters["lower"]
     shifted = parameters.assign(search_value=parameters["value"] + 0.1 * span * (1 - 2 * (parameters["ratio"] > 0.5)))
@@ -55,7 +55,7 @@ def test_the_figures_of_the_parameters_are_those_of_the_page(folder, parameters,
     assert {"parameters", "searches"} <= set(blocks(folder, Picture))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_without_a_search_its_ends_are_not_drawn(folder, parameters, blocks):
     parameters.assign(search_value=np.nan).to_csv(folder / "parameters.csv", index=False)
     assert "searches" not in blocks(folder, Picture)

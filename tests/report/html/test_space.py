@@ -118,7 +118,7 @@ def test_misfits_have_the_size_and_the_place_of_their_rms(everything, results):
     np.testing.assert_allclose(span / span[0], rms / rms[0], atol=0.02)
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_scores_beyond_the_limit_have_the_colour_of_their_key_in_a_layer_for_each_kind(everything, results):
     table = pd.read_csv(everything / "perturbations.csv")
     (limit,), largest = set(table["limit"]), table["score"].abs().max()

@@ -114,7 +114,7 @@ def test_what_a_change_makes_stale(sums, file, old, new, touched):
     assert not stale().sentences
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("undrawn")
 def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     before = page_summary(results(stale()))
@@ -137,7 +137,7 @@ def test_a_new_comparison_never_stands_under_an_old_calibration(sums):
     assert "stale" not in {s.name for s in sections(results(stale()))}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(1)
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("run_before", [True, False])
@@ -214,7 +214,7 @@ def found_by(sums, tmp_path):
     return told
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.mostly_slow(2)
 @pytest.mark.parametrize(
     ("file", "old", "new", "analyses"),
@@ -231,13 +231,13 @@ def test_other_code_of_calib_is_told_of_the_analyses_that_run_it(found_by, file,
     assert found_by(file, old, new) == ([f"Results of {OTHER.format(analyses)}"] if analyses else [])
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_other_rules_of_calib_are_refused_and_no_other_code(found_by):
     (words,) = found_by("sensitivity/rules.py", "bound: float = 0.1", "bound: float = 0.2")
     assert "'sensitivity' was run on an earlier state of the rules of calib" in words
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("undrawn")
 def test_command_python_and_report_tell_the_same_of_other_code(sums, monkeypatch):
     monkeypatch.setattr("calib.analyses.provenance.stale.code_of", lambda analysis: "other")
@@ -256,7 +256,7 @@ def test_a_file_of_the_user_is_no_interrupted_analysis(sums):
     assert not stale().sentences
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_table_belongs_to_an_analysis_that_was_run(everything, scalar):
     for folder in (everything, scalar):
         analyses = json.loads((folder / "record.json").read_text())["analyses"]
@@ -284,7 +284,7 @@ def test_nothing_of_a_complete_run_is_stale(everything, tmp_path):
     assert {s.name for s in shown} <= {"stale", "versions", "not_run"}
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_report_runs_no_code_of_the_study(sums, unrendered):
     """The results of a received study can be viewed before its code is trusted."""
     run("report")
@@ -325,7 +325,7 @@ def test_what_is_stale_is_known_without_the_code(sums, file, old, new):
     assert set(from_files().sentences) == set(stale().sentences) and from_files().files == stale().files
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.usefixtures("undrawn")
 @pytest.mark.parametrize("gone", ["model.py", "deck.inp"])
 def test_a_named_file_that_is_gone_counts_as_changed(sums, gone):

@@ -49,7 +49,7 @@ def test_a_measured_structure_is_not_called_synthetic(everything, reader):
     assert "ynthetic" not in reader(page(StudyResults(everything, TITLE, False))).text
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 @pytest.mark.parametrize(
     ("gone", "section", "command"),
     [
@@ -82,7 +82,7 @@ def test_an_analysis_that_was_not_run_is_omitted_and_its_command_named(folder, g
     assert any(f"{command} mast" in words.text for words in section_blocks(last))
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_section_depends_on_its_own_tables_alone(folder):
     for name in ("pulls", "effects", "next_measurement", "candidate_fits"):
         (folder / f"{name}.csv").unlink()
@@ -99,7 +99,7 @@ def test_a_study_without_a_library_is_not_advised_to_explain(folder):
     assert [s.name for s in sections(StudyResults(folder, TITLE, True))] == left
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_results_without_a_record_are_shown_as_far_as_possible(folder):
     for name in ("record.json", "measured.csv", "sensors.csv"):
         (folder / name).unlink()
@@ -107,7 +107,7 @@ def test_results_without_a_record_are_shown_as_far_as_possible(folder):
     assert shown == [n for n in WHOLE if n not in ("measured", "versions")]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_a_model_is_shown_whether_or_not_shapes_were_measured(folder, blocks):
     sensors = pd.read_csv(folder / "sensors.csv")
     used = (~sensors["held_out"]).sum()
@@ -203,7 +203,7 @@ def test_every_figure_has_a_text_alternative_and_a_caption(everything, read, blo
         assert {"role": "img", "aria-label": figure.alt, "class": "drawing", **more} in drawings
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_table_has_a_caption_heads_and_as_many_cells(everything, scalar, blocks):
     for folder in (everything, scalar):
         for caption, table in blocks(folder, Table).items():
@@ -256,7 +256,7 @@ def test_names_are_shown_literally_whatever_characters_they_have(folder, reader)
 # -- writing -----------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_the_page_is_written_beside_its_tables_and_is_the_same_each_time(folder):
     path = write_report(StudyResults(folder, TITLE, True)).path
     assert path == folder / "report.html"
@@ -264,7 +264,7 @@ def test_the_page_is_written_beside_its_tables_and_is_the_same_each_time(folder)
     assert not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_an_interruption_while_writing_leaves_the_old_page(folder, monkeypatch):
     path = write_report(StudyResults(folder, TITLE, True)).path
     old = path.read_bytes()
@@ -281,7 +281,7 @@ def test_an_interruption_while_writing_leaves_the_old_page(folder, monkeypatch):
     assert path.read_bytes() == old and not [p for p in folder.iterdir() if p.name.startswith(".")]
 
 
-@pytest.mark.slow
+@pytest.mark.medium
 def test_every_figure_of_the_page_is_a_step_of_its_progress(everything, blocks):
     steps = []
     page(StudyResults(everything, TITLE, True), lambda stage, done, total: steps.append((done, total)))
