@@ -23,6 +23,8 @@ LEAST_BAYES_FACTOR = 3.0
 """ln Bayes factor from which one explanation counts as better than another."""
 COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
+MOST = 40
+"""Effects that are drawn; of more, such as generic ones, those with most evidence."""
 _WIDE = 60.0
 """Largest log Bayes factor that is drawn on a linear axis."""
 _LABEL = 0.12
@@ -76,12 +78,12 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         its right. The axis goes by the root, as the score does, where an absolute value exceeds 60. Labels of effects
         that are not visible are grey.
     """
-    rows = ranked(table)
+    rows = ranked(table).head(MOST)
     ax = style.own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
     values = rows["ln_bayes"].to_numpy(dtype=float)
-    looks, seen, limit = _looks(rows), _flags(rows["visible"]), threshold(len(rows))
+    looks, seen, limit = _looks(rows), _flags(rows["visible"]), threshold(len(table))
     odd_ones = [bool(words) for words in rows["implausible"].fillna("")]
     spans = rows[["ln_bayes_third", "ln_bayes", "ln_bayes_triple"]].to_numpy(dtype=float)
     ax.axvline(0.0, color=style.BLACK, linewidth=0.8)
@@ -144,7 +146,7 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         One dot per effect on a logarithmic axis, open when the effect is not visible; an arrow at the edge where no
         magnitude would be visible. The score z and the model probability within the library stand at the right.
     """
-    rows = ranked(table)
+    rows = ranked(table).head(MOST)
     ax = style.own_axes(ax, _height(len(rows)))
     if rows.empty:
         return blank(ax, "no effect was tested")
@@ -180,7 +182,7 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     """Draw `draw_ranked_effects` and `draw_visibility` side by side, one row per effect."""
     handles = _handles(table) if len(table) else []
     over_height = 0.2 * math.ceil(len(handles) / 2)
-    height = _height(len(table)) + 0.4
+    height = _height(min(len(table), MOST)) + 0.4
     figure = style.new_figure(height + over_height)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(over_height or 0.1, height))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
@@ -190,7 +192,8 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     right.tick_params(labelleft=False)
     over.set_axis_off()
     over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=2)
-    note = f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE
+    fewer = f"The {MOST} with most evidence of {len(table)} effects.\n" if len(table) > MOST else ""
+    note = fewer + (f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE)
     figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=style.GREY, linespacing=1.4)
     return figure
 
@@ -215,10 +218,13 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     Returns
     -------
     Axes
-        A matrix with the values in the cells; off-diagonal absolute values above 0.9 are outlined. Rows are labelled
-        with title, name and unabsorbed fraction, columns with the name.
+        A matrix with the values in the cells, of many effects those with most evidence; off-diagonal absolute values
+        above 0.9 are outlined. Rows are labelled with title, name and unabsorbed fraction, columns with the name.
     """
     names = table["effect"].astype(str).tolist()
+    if len(names) > MOST:
+        first = names if effects is None else [n for n in ranked(effects)["name"].astype(str) if n in set(names)]
+        names = first[:MOST]
     count = len(names)
     titles = {} if effects is None else dict(zip(effects["name"], effects["title"], strict=True))
     unabsorbed = {} if effects is None else dict(zip(effects["name"], effects["unabsorbed"], strict=True))
@@ -226,7 +232,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         ax = style.new_figure(float(np.clip(0.36 * count, 1.2, 9.0)) + 1.9).add_subplot()
     if not names:
         return blank(ax, "no effect was tested")
-    values = table.set_index("effect").reindex(columns=names).to_numpy(dtype=float)
+    values = table.set_index("effect").reindex(index=names, columns=names).to_numpy(dtype=float)
     ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(values, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
     size = 7.5 if count <= 12 else max(4.5, 7.5 * 12.5 / count)

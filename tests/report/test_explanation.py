@@ -7,6 +7,7 @@ from matplotlib.colors import to_hex
 
 from calib.errors.errors import InputError
 from calib.report.explanation import (
+    MOST,
     draw_confounding,
     draw_ranked_effects,
     draw_visibility,
@@ -97,6 +98,17 @@ def test_the_threshold_grows_with_the_number_of_effects(effects):
     for table in (effects, effects.iloc[:1]):
         (line,) = [x for x in draw_ranked_effects(table).lines if x.get_gid() == "threshold"]
         assert line.get_xdata()[0] == pytest.approx(np.log(len(table)) + 3.0)
+
+
+def test_of_hundreds_of_effects_those_with_most_evidence_are_drawn(effects):
+    many = pd.concat([effects.assign(name=[f"{n}_{k}" for n in effects["name"]]) for k in range(30)], ignore_index=True)
+    many["ln_bayes"] = np.arange(len(many), dtype=float)
+    names = list(many["name"][::-1][:MOST])
+    ax = draw_ranked_effects(many)
+    assert len(dots(ax)) == MOST and len(many) > 2 * MOST
+    table = pd.DataFrame(np.eye(len(many)), columns=many["name"]).assign(effect=many["name"])
+    shown = labels(draw_confounding(table, effects=many).get_xticklabels())
+    assert shown == names
 
 
 def test_thin_lines_span_the_prior_widths(effects):

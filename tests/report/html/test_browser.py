@@ -198,7 +198,7 @@ def opened(text, tmp_path, *options):
     probed = text.replace("</head>", COUNTER + "</head>").replace("</body>", PROBE + "</body>")
     file.write_text(probed, encoding="utf-8")
     command = [BROWSER, *OPTIONS, *options, f"--user-data-dir={tmp_path / 'profile'}", file.as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=True)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=True)
     probe = re.search(r'<pre id="probe">(.*?)</pre>', done.stdout, re.S)
     assert probe is not None, done.stderr[-2000:]
     return done.stdout, json.loads(html.unescape(probe[1])), [x for x in done.stderr.splitlines() if "CONSOLE" in x]
