@@ -390,8 +390,7 @@ def calibrated_fit(
     weights = {name: getattr(stated, name) for name in ("weight_freq", "weight_mac")}
     changed = {name: weight for name, weight in weights.items() if weight != getattr(own, name)}
     update = {"explain": settings.explain, "calibration": own.model_copy(update=changed)}
-    held = replace(held, settings=problem.settings.model_copy(update=update))
-    return Fit(held, best.statistics, found)
+    return Fit(replace(held, settings=problem.settings.model_copy(update=update)), best.statistics, found)
 
 
 def assessed_at(problem: P, values: Mapping[str, float]) -> Fit[P]:

@@ -14,8 +14,8 @@ import numpy as np
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.residual import ModalResidual
 from calib.inference.even_weights import Leap
-from calib.inference.gauss_newton import Prior
 from calib.measurement.mac import most_real
+from calib.problem.prior import Prior
 from calib.problem.space import ParameterSpace
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.reduced import ReducedModel
@@ -52,10 +52,8 @@ def modal_leap(problem: Any) -> Leap | None:
             posed = _equations(problem.at(point), pair.regular(point, names), names)
             if posed is None:
                 break
-            matrix, left = posed
-            pull = np.where(np.isfinite(widths), 1.0, 0.0)
-            rows = np.vstack([matrix * unit, np.diag(pull)])
-            right = np.concatenate([left, prior.residual(point, names)])
+            own, pulling = prior.rows(point, names)
+            rows, right = np.vstack([posed[0], pulling]) * unit, np.concatenate([posed[1], own])
             steps = -np.linalg.lstsq(rows, right, rcond=None)[0] * unit
             each = zip(names, here.tolist(), steps.tolist(), strict=True)
             there = np.clip([space[name].moved(value, step) for name, value, step in each], lower, upper)

@@ -94,29 +94,36 @@ def element_sets(text: str) -> dict[str, set[int]]:
     return found
 
 
-def _abaqus(lines: Iterable[str]) -> Iterator[Element]:
-    edges: Mapping[int, Sequence[Edge]] = {}
-    pending: list[int] = []
-    group = ""
+def _keywords(lines: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
+    """Keyword lines of Abaqus, in capitals and without blanks, each with its lines of data; comments are left out."""
+    key, data = "", list[str]()
     for line in lines:
         bare = line.strip()
-        if not bare or bare.startswith("**"):
-            continue
-        if bare.startswith("*"):
-            key = bare.upper().replace(" ", "")
-            edges = _of_type(key) if key.startswith("*ELEMENT,") else {}
-            match = re.search(r"ELSET=([^,]+)", key)
-            group, pending = "" if match is None else match[1].strip('"'), []
-            continue
-        if not edges:
-            continue
-        numbers = re.findall(r"-?\d+", bare)
-        pending += [int(one) for one in numbers]
-        if bare.endswith(","):
-            continue
-        (number, *nodes), pending = pending, []
-        if len(nodes) in edges:
-            yield Element(number, group, tuple(nodes), edges[len(nodes)])
+        if bare.startswith("*") and not bare.startswith("**"):
+            yield key, data
+            key, data = bare.upper().replace(" ", ""), []
+        elif bare and not bare.startswith("**"):
+            data.append(bare)
+    yield key, data
+
+
+def _value_of(key: str, option: str) -> str:
+    """What a keyword line states for an option; empty without it."""
+    match = re.search(f"{option}=([^,]+)", key)
+    return "" if match is None else match[1].strip('"')
+
+
+def _abaqus(lines: Iterable[str]) -> Iterator[Element]:
+    for key, data in _keywords(lines):
+        edges = _of_type(key) if key.startswith("*ELEMENT,") else {}
+        group, pending = _value_of(key, "ELSET"), list[int]()
+        for line in data if edges else ():
+            pending += map(int, re.findall(r"-?\d+", line))
+            if line.endswith(","):
+                continue
+            (number, *nodes), pending = pending, []
+            if len(nodes) in edges:
+                yield Element(number, group, tuple(nodes), edges[len(nodes)])
 
 
 def _of_type(key: str) -> Mapping[int, Sequence[Edge]]:
@@ -191,47 +198,33 @@ def _components(lines: Sequence[str]) -> dict[str, set[int]]:
 
 def _named_sets(lines: Iterable[str], keyword: str, sets: dict[str, set[int]]) -> dict[str, set[int]]:
     """Sets of Abaqus that ``*NSET`` or ``*ELSET`` list by number, range or name; ``sets`` are those known before."""
-    name, is_range = "", False
-    for line in lines:
-        bare = line.strip()
-        if not bare or bare.startswith("**"):
-            continue
-        if bare.startswith("*"):
-            key = bare.upper().replace(" ", "")
-            match = re.search(f"{keyword[1:]}=([^,]+)", key) if key.startswith(f"{keyword},") else None
-            name, is_range = ("" if match is None else match[1].strip('"')), "GENERATE" in key
-        elif name:
-            fields = [field.strip().upper() for field in bare.split(",") if field.strip()]
-            own = sets.setdefault(name, set())
-            if is_range:
+    for key, data in _keywords(lines):
+        name = _value_of(key, keyword[1:]) if key.startswith(f"{keyword},") else ""
+        for line in data if name else ():
+            fields, own = [field for field in _fields(line) if field], sets.setdefault(name, set())
+            if "GENERATE" in key:
                 first, last, step = (*map(int, fields[:3]), 1)[:3]
                 own |= set(range(first, last + 1, step))
-            for field in () if is_range else fields:
-                own |= {int(field)} if field.isdigit() else sets.get(field, set())
+            else:
+                own.update(*({int(field)} if field.isdigit() else sets.get(field, set()) for field in fields))
     return sets
+
+
+def _fields(line: str) -> list[str]:
+    """What stands between the commas of a line of data, in capitals; empty where nothing does."""
+    return [field.strip().upper() for field in line.split(",")]
 
 
 def held_motions(text: str) -> set[tuple[int, int]]:
     """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds."""
-    sets: dict[str, set[int]] = {}
-    lines = text.splitlines()
-    key = name = ""
-    for line in lines:
-        bare = line.strip()
-        if bare.startswith("*") and not bare.startswith("**"):
-            key = bare.upper().replace(" ", "")
-            match = re.search(r"NSET=([^,]+)", key)
-            name = match[1] if match is not None and key.startswith("*NODE,") else ""
-        elif name and bare and not bare.startswith("**"):
-            sets.setdefault(name, set()).add(int(bare.split(",")[0]))
+    lines, sets = text.splitlines(), dict[str, set[int]]()
+    for key, data in _keywords(lines):
+        if key.startswith("*NODE,") and (name := _value_of(key, "NSET")):
+            sets.setdefault(name, set()).update(int(line.split(",")[0]) for line in data)
     sets = _named_sets(lines, "*NSET", sets)
     held: set[tuple[int, int]] = set()
-    for line in lines:
-        bare = line.strip()
-        if bare.startswith("*") and not bare.startswith("**"):
-            key = bare.upper().replace(" ", "")
-        elif key.startswith("*BOUNDARY") and bare and not bare.startswith("**"):
-            fields = [field.strip().upper() for field in bare.split(",")]
+    for key, data in _keywords(lines):
+        for fields in map(_fields, data if key.startswith("*BOUNDARY") else ()):
             if len(fields) > 1 and fields[1].isdigit():
                 nodes = {int(fields[0])} if fields[0].isdigit() else sets.get(fields[0], set())
                 last = int(fields[2]) if len(fields) > 2 and fields[2].isdigit() else int(fields[1])

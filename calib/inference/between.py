@@ -11,10 +11,11 @@ import pandas as pd
 from scipy import stats
 
 from calib.errors.errors import EvaluationError
-from calib.inference.gauss_newton import Prior, fit
+from calib.inference.gauss_newton import fit
 from calib.inference.rules import WIDE
 from calib.problem.apart import ApartProblem
 from calib.problem.joint import JointProblem
+from calib.problem.prior import Prior
 
 COLUMNS = ("parameter", "unit", "what", "value", "low", "high", "p")
 MEAN, SPREAD = "mean of the tests", "spread between the tests"
@@ -131,7 +132,7 @@ def between_tests(problem: JointProblem, varies: Sequence[str], values: Mapping[
     chosen = [(name, test) for name in varies for test in acting[name]]
     reach = np.array([problem.space[name].prior_width for name in varies])
     before_fit = problem.residual(values)
-    spreads, at = reach / 3, dict(values)
+    spreads, at = reach / 3, dict(values)  # the spread is fitted anew in every turn, wherever it begins
     for _ in range(_TURNS):
         apart = ApartProblem(problem, chosen, dict(zip(varies, spreads, strict=True)))
         try:

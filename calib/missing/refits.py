@@ -232,9 +232,8 @@ class Refits:
 
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
         effects = tuple(self.by_name[n] for n in names)
-        shared = self.hypotheses.shared_errors / self.scale
-        beside = np.zeros((len(fit.data_slope) - len(shared), shared.shape[1]))
-        added, fit = (*effects, *self.granted), replace(fit, shared=np.vstack([shared, beside]))
+        added, errors = (*effects, *self.granted), self.hypotheses.shared_errors / self.scale
+        fit = replace(fit, shared=np.pad(errors, ((0, len(fit.data_slope) - len(errors)), (0, 0))))
         return CandidateFit(effects, fit, ln_evidence(fit, added) - self.family.price(names), implausible(fit, added))
 
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:

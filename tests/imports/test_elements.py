@@ -86,4 +86,5 @@ all,6,6,0.0
 U
 """
     both = {(node, 3) for node in (4, 6, 8, 11)}
+    assert held_motions("*BOUNDARY\n4, 2, , 0\n") == {(4, 2)}  # the value is no last direction
     assert held_motions(deck) == {(1, 1), (1, 2), (1, 3), (1, 6), (2, 6), (12, 2)} | both

@@ -39,8 +39,7 @@ def test_posterior_is_the_inverse(seed, n, rows):
     rng = np.random.default_rng(seed)
     units = 10.0 ** rng.uniform(-6, 6, n)
     g, s = rng.standard_normal((rows, n)) / units, units * rng.uniform(0.1, 10, n)
-    names = [f"p{k}" for k in range(n)]
-    found = posterior(names, g, s)
+    found = posterior([f"p{k}" for k in range(n)], g, s)
     inverse = np.linalg.inv(units[:, None] * (g.T @ g) * units + np.diag((units / s) ** 2))
     np.testing.assert_allclose(found.covariance / np.outer(units, units), inverse, rtol=1e-7, atol=1e-9)
     np.testing.assert_allclose(found.std, np.sqrt(np.diag(found.covariance)))
