@@ -17,6 +17,7 @@ import tomlkit
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.problem.effect import Effect
+from calib.results.answer import in_prose
 from calib.results.written import DRAFT, free_name, is_own_folder, note_folder
 from calib.study.loading import pick
 from calib.study.search_settings import CalibrationSettings
@@ -286,7 +287,7 @@ def _text(
     source, given = study.file.resolve(), study.settings
     names = [effect.name for effect in effects]
     document = tomlkit.document()
-    document["title"] = " + ".join([given.title, *names])
+    document["title"] = " + ".join([given.title, *map(in_prose, names)])
     document["base"] = leading(source.parent if source.name == "study.toml" else source, new)
     document["with_effects"] = [*given.with_effects, *names]
     if selected:

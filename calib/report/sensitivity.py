@@ -81,7 +81,9 @@ def draw_sensitivity(
     for i, j in np.argwhere(np.isfinite(shown)):
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"
         text = f"{shown[i, j]:.2f}".replace("-", "−")
-        ax.text(j, i, f"({text})" if lent[i, j] else text, ha="center", va="center", fontsize=size, color=colour)
+        # Of seven letters for five: no wider than the others.
+        words, own_size = (f"({text})", size * 5 / 7) if lent[i, j] else (text, size)
+        ax.text(j, i, words, ha="center", va="center", fontsize=own_size, color=colour)
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)
     ranges = {} if space is None else {str(r["parameter"]): _range(r) for r in space.to_dict("records")}
@@ -98,7 +100,7 @@ def draw_sensitivity(
     _name_groups(ax, [_kind(r)[0] for r in responses])
     blank = f"blank: |value| ≤ {threshold:g}" + ("; grey: no value" if np.isnan(values).any() else "")
     if (lent & np.isfinite(shown)).any():
-        blank += "; in brackets: lent by other parameters, through a constraint or prior"
+        blank += ";\nin brackets: lent by other parameters, through a constraint or prior"
     modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
     ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)

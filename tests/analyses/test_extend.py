@@ -37,7 +37,7 @@ def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
     new, old = LoadedStudy.load(Path("new")), LoadedStudy.load(rig)
     assert tree(rig) == before and made.file == Path("new/study.toml") and set(tree("new")) == {"study.toml"}
     assert settings("new") == {
-        "title": "Four-storey laboratory rig + top_cables",
+        "title": "Four-storey laboratory rig + top cables",
         "base": "../rig",
         "with_effects": ["top_cables"],
         "selection": ["k1", "k2", "k3", "k4", "top_cables"],
@@ -56,7 +56,7 @@ def test_an_extended_study_can_be_extended_again(rig):
     twice = LoadedStudy.load(Path("deeper/down/twice"))
     assert twice.settings.with_effects == ("top_cables", "low_cables") and twice.candidates == ()
     assert twice.settings.base == "../../../once"
-    assert twice.settings.title.endswith("rig + top_cables + low_cables")
+    assert twice.settings.title.endswith("rig + top cables + low cables")
     assert twice.settings.selection[4:] == ("top_cables", "low_cables")
     assert settings("once")["with_effects"] == ["top_cables"]
 
@@ -74,7 +74,7 @@ def test_several_effects_are_added_at_once(rig):
     made = extend(LoadedStudy.load(rig), ["top_cables", "low_cables"], Path("new"))
     new = LoadedStudy.load(Path("new"))
     assert new.settings.with_effects == ("top_cables", "low_cables") and new.settings.title.endswith(
-        "rig + top_cables + low_cables"
+        "rig + top cables + low cables"
     )
     assert made.selected == ("top_cables", "low_cables") == new.search_space.free_names[4:]
     assert [e.name for e in made.effects] == ["top_cables", "low_cables"]
