@@ -28,7 +28,7 @@ _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 _REQUESTS = ("Look", "Check", "Measure")
 """First words of a text to look for that is a request already."""
 CANNOT_TELL = "Model or measurement is wrong, and these data cannot tell which"
-_KINDS = {"frequency": "frequencies", "shape": "mode shapes"}
+_KINDS = {"freq": "frequencies", "frequency": "frequencies", "shape": "mode shapes"}
 """Kinds of data in words, where these differ from the names in tables."""
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
@@ -82,27 +82,33 @@ def misfit_words(found: Explanation) -> str:
 
 
 def misfit_in_short(found: Explanation) -> str:
-    """The same for the summary."""
-    chance = "Two tests give the chance of such a misfit by noise alone"
-    return f"{chance}, {_if_nothing(found)}: {family_in_short(found)}."
+    """The same for the summary: what was tried, and what the data make of it."""
+    return f"If {_had_it_been_so(found)}, {family_in_short(found)}."
 
 
 def _if_nothing(found: Explanation) -> str:
-    return f"if {'only the measurement were wrong so' if found.granted else 'nothing were missing'}"
+    return f"if {_had_it_been_so(found)}"
+
+
+def _had_it_been_so(found: Explanation) -> str:
+    return "only the measurement were wrong so" if found.granted else "nothing were missing"
 
 
 def family_in_short(found: Explanation) -> str:
-    """The tests of the base model, without what was tested."""
+    """The two tests of the base model: what the best change tried gains, and how badly the worst group of data fits."""
     adequacy = found.base_adequacy
-    tested = sum(_counts(found)) + (0 if adequacy.pairs is None else adequacy.pairs.number)
-    tried = names_in_words([
-        *(["listed causes"] if found.groups else []), "stiffness or mass at single places",
-        *([] if adequacy.faults is None else ["measurement errors"]),
-    ])  # fmt: skip
+    causes, perturbations, errors = _counts(found)
+    errors += 0 if adequacy.pairs is None else adequacy.pairs.number
+    tried = {"listed causes": causes, "stiffness or mass at single places": perturbations, "measurement errors": errors}
+    number = sum(tried.values())
     kinds = ", ".join(_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"])
     groups = f" ({kinds})" if len(adequacy.kinds) > 1 else ""
-    helps = f"{p_words(adequacy.p_family)} for how much the best of {tested} changes tried helps ({tried})"
-    return f"{helps}, {p_words(adequacy.p_fit)} for how badly the worst group of data fits{groups}"
+    worst = f"the worst group of data{groups} would fit as badly with {p_words(adequacy.p_fit)}"
+    if not number:
+        return worst
+    words = names_in_words([what for what, count in tried.items() if count])
+    best = f"the best of {number} changes tried ({words})" if number > 1 else f"the one change tried ({words})"
+    return f"{best} would lower the misfit as much with {p_words(adequacy.p_family)}, and {worst}"
 
 
 def with_in_short(found: Explanation, them: str = "it") -> str:

@@ -9,6 +9,7 @@ import pytest
 
 from calib.missing.local import interval_words
 from calib.missing.suspect import suspect_in_short, suspect_sentence
+from calib.missing.verdict_words import family_in_short
 from tests.missing.verdict_cases import VERDICTS, WORST, chance, dressed, errors, first, text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -217,3 +218,15 @@ def test_a_dimensionless_magnitude_on_its_limit_has_no_unit(toy):
     found = first(replace(made, effects=(e,)), {"E0": 3.0}, "none_explains")
     text = text_of(found)
     assert "E0 is on its limit of 0.5" in text and "0.5 -" not in text
+
+
+def test_the_summary_names_the_changes_that_were_tried_and_no_others(cases):
+    found = cases["effect"]
+    tests = found.base_adequacy
+    without = replace(found, groups=(), base_adequacy=replace(tests, faults=None, pairs=None))
+    number = len(set(tests.perturbations.owners))
+    assert f"the best of {number} changes tried (stiffness or mass at single places)" in family_in_short(without)
+    listed = family_in_short(replace(found, base_adequacy=replace(tests, faults=None, pairs=None)))
+    assert "(listed causes and stiffness or mass at single places)" in listed
+    none = replace(tests, faults=None, pairs=None, perturbations=replace(tests.perturbations, owners=()))
+    assert family_in_short(replace(without, base_adequacy=none)).startswith("the worst group of data")
