@@ -3,14 +3,14 @@ import { change, h, tell } from "./dom.js";
 
 export class Changes {
   // `done` is called after a change was made or taken back.
-  constructor(page, done) {
-    Object.assign(this, { page, done });
+  constructor(pane, done) {
+    Object.assign(this, { pane, done });
     this.element = h("div", { id: "diff" });
   }
 
   async propose(edit, test) {
     try {
-      const shown = await change(this.page.of("edit", { test }), { edit });
+      const shown = await change(this.pane.of("edit", { test }), { edit });
       const make = h("button", { type: "button", class: "main", id: "make", onclick: () => this.make(edit, shown.digest, test) }, shown.words);
       this.element.replaceChildren(h("pre", { "aria-label": "what changes in study.toml" }, shown.diff.map((line) =>
         h("span", { class: line.startsWith("+") ? "plus" : line.startsWith("-") ? "minus" : "soft" }, `${line}\n`))),
@@ -29,7 +29,7 @@ export class Changes {
 
   async changed(what, test, content) {
     try {
-      tell((await change(this.page.of(what, { test }), content)).words);
+      tell((await change(this.pane.of(what, { test }), content)).words);
       this.done();
     } catch (fault) {
       tell(fault.message, "bad");

@@ -5,10 +5,10 @@ import { ask, h, panel, shade, table } from "./dom.js";
 import { Shapes } from "./shapes.js";
 
 export class Correlation {
-  constructor(page, place) {
-    Object.assign(this, { page, place, seen: "", results: null, stage: "", picked: null });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, seen: "", results: null, stage: "", picked: null });
     this.failed = h("div", {});
-    this.changes = new Changes(page, () => { this.known = null; page.refresh(); });  // what it shows stays, whatever else is drawn anew
+    this.changes = new Changes(pane, () => { this.known = null; pane.refresh(); });  // what it shows stays, whatever else is drawn anew
     this.body = h("div", { class: "stack" });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
   }
@@ -19,14 +19,14 @@ export class Correlation {
 
   async look(live) {
     if (!this.known || live?.results !== this.results) {
-      const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("correlation"))]);
-      if (!this.page.shown) return;
+      const [known, found] = await Promise.all([ask(this.pane.of("")), ask(this.pane.of("correlation"))]);
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.correlation, undoing: found.undo, test: found.test, stated: found.stated });
-      this.page.knows(known);
+      this.pane.knows(known);
     }
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([this.found, this.undoing, this.known?.analyses.map((one) => one.state), Boolean(this.page.running)]);
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
+    const now = JSON.stringify([this.found, this.undoing, this.known?.analyses.map((one) => one.state), Boolean(this.pane.running)]);
     if (now === this.seen) return;
     this.seen = now;
     if (this.found) this.fill(); else this.empty();
@@ -35,7 +35,7 @@ export class Correlation {
   // -- the view ------------------------------------------------------------------------------------------------------
 
   fill() {
-    const { found, page } = this, stages = found.stages;
+    const { found, pane } = this, stages = found.stages;
     this.stage = stages.some((one) => one.name === this.stage) ? this.stage : stages.at(-1).name;
     const stage = stages.find((one) => one.name === this.stage);
     const choice = h("select", { "aria-label": "stage of the model", onchange: (event) => { this.stage = event.target.value; this.picked = null; this.fill(); } },
@@ -47,7 +47,7 @@ export class Correlation {
     this.shapes = found.scene ? new Shapes(found.scene) : null;
     const stale = this.known.analyses.find((one) => one.verb === "compare" && one.state === "stale");
     this.body.replaceChildren(
-      stale ? h("div", { class: "note" }, h("p", {}, stale.stale), h("div", { class: "act" }, page.button("compare", "Compare again", "main"))) : "",
+      stale ? h("div", { class: "note" }, h("p", {}, stale.stale), h("div", { class: "act" }, pane.button("compare", "Compare again", "main"))) : "",
       h("div", { class: "grid search" },
         h("div", { class: "stack" },
           h("section", { class: "panel" }, h("div", { class: "head" }, h("h2", {}, `MAC of all pairs${this.test ? `, ${this.test}` : ""}`), h("span", { class: "grow" }), choice), this.matrix(stage)),
@@ -95,7 +95,7 @@ export class Correlation {
 
   pick(stage, mode, number) {
     this.choose(stage, mode, number);
-    this.page.picked({ mode });
+    this.pane.picked({ mode });
   }
 
   // A mode was picked beside this study.
@@ -149,11 +149,11 @@ export class Correlation {
   }
 
   empty() {
-    const { page } = this, other = this.known.kind && this.known.kind !== "modes", compare = this.known.analyses.find((one) => one.verb === "compare");
+    const { pane } = this, other = this.known.kind && this.known.kind !== "modes", compare = this.known.analyses.find((one) => one.verb === "compare");
     this.body.replaceChildren(h("section", { class: "panel empty" },
       h("h2", {}, other ? "This study compares no modes" : compare.state === "stale" ? "The comparison is out of date" : "No comparison has been run"),
       h("p", {}, other ? "MAC and shapes belong to measured modes." : compare.stale || "A comparison pairs measured modes with those of the model by MAC and strain energy; it takes seconds."),
-      h("div", { class: "act" }, other ? null : page.button("compare", "Compare", "main"),
+      h("div", { class: "act" }, other ? null : pane.button("compare", "Compare", "main"),
         this.changes.undo(this.undoing, this.test))));
   }
 }

@@ -9,11 +9,11 @@ const ROWS = 25;  // in the table
 const ROOM = 34;  // pixels about the axes
 
 export class Designs {
-  constructor(page, place) {
-    Object.assign(this, { page, place, filters: new Map(), picked: 0, x: "", y: "" });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, filters: new Map(), picked: 0, x: "", y: "" });
     this.failed = h("div", {});
     this.body = h("div", { class: "stack", id: "designs" });
-    this.changes = new Changes(page, () => page.refresh());
+    this.changes = new Changes(pane, () => pane.refresh());
     this.further = h("div", { class: "grid even", id: "further" });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body, this.further));
   }
@@ -23,15 +23,15 @@ export class Designs {
   }
 
   async look(live) {
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
     const changed = !this.known || live?.results !== this.results;
     if (changed) {
-      this.known = await ask(this.page.of(""));
-      if (!this.page.shown) return;
+      this.known = await ask(this.pane.of(""));
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
-      this.page.knows(this.known);
+      this.pane.knows(this.known);
     }
-    const now = JSON.stringify([this.known.further, this.known.analyses, Boolean(this.page.running)]);
+    const now = JSON.stringify([this.known.further, this.known.analyses, Boolean(this.pane.running)]);
     if (now !== this.seen) this.further.replaceChildren(...this.known.further.map((one) => this.analysis(one)));
     this.seen = now;
     if (changed) await this.read("");
@@ -39,24 +39,24 @@ export class Designs {
 
   // An analysis of the designs: its figure and answer, or what to run for it.
   analysis(one) {
-    const { page, known } = this, first = known.analyses.find((own) => own.verb === one.after && own.state !== "done"), { verb } = first ?? one;
-    return panel(one.title, one.figure ? figure(page.of(`figure/${one.figure}`), one.figure, one.caption) : null,
+    const { pane, known } = this, first = known.analyses.find((own) => own.verb === one.after && own.state !== "done"), { verb } = first ?? one;
+    return panel(one.title, one.figure ? figure(pane.of(`figure/${one.figure}`), one.figure, one.caption) : null,
       h("p", { class: one.found ? "" : "soft" }, one.stale || one.found || `Not run: ${one.what}.`), one.then && one.found ? h("p", { class: "soft" }, one.then) : null,
-      h("div", { class: "act" }, page.button(verb, first ? `Run calib ${verb} first` : one.state === "never" ? `Run calib ${verb}` : "Again"), page.quickly()));
+      h("div", { class: "act" }, pane.button(verb, first ? `Run calib ${verb} first` : one.state === "never" ? `Run calib ${verb}` : "Again"), pane.quickly()));
   }
 
   // Read on request alone while a search runs: the table of a large ledger takes seconds.
   async read(evaluated) {
     if (!this.found) this.body.replaceChildren(h("p", { class: "soft" }, "Reading the designs …"));
     try {
-      this.take(await ask(this.page.of("designs", { evaluated })));
+      this.take(await ask(this.pane.of("designs", { evaluated })));
     } catch (fault) {
-      if (this.page.shown) this.empty(fault.message);
+      if (this.pane.shown) this.empty(fault.message);
     }
   }
 
   take(found) {
-    if (!this.page.shown) return;
+    if (!this.pane.shown) return;
     this.found = { ...found, cases: found.cases.map((name) => (name === "other" ? "samples and others" : name)), design: numbers(found.design), case: numbers(found.case), status: numbers(found.status) };
     this.columns = found.columns.map((one) => {
       const values = numbers(one.numbers), on = one.log ? Math.log10 : (value) => value;
@@ -155,7 +155,7 @@ export class Designs {
     if (!rows.includes(this.picked) && this.picked < found.count) rows.push(this.picked);
     this.rows.replaceChildren(...rows.map((k) => h("tr", { class: "pick", tabIndex: 0, "data-design": found.design[k], "aria-selected": String(k === this.picked), onclick: () => this.pick(k), onkeydown: (event) => { if (event.key === "Enter") this.pick(k); } },
       h("th", { scope: "row" }, String(found.design[k])), h("td", {}, found.cases[found.case[k]]), this.axes.map((one) => h("td", {}, found.status[k] && !one.input ? "failed" : short(one.values[k]))),
-      h("td", {}, k === this.picked ? h("button", { type: "button", id: "begin", onclick: () => this.changes.propose({ what: "start", name: "a design", value: found.design[k] }, this.page.test) }, "Start from here") : null))));
+      h("td", {}, k === this.picked ? h("button", { type: "button", id: "begin", onclick: () => this.changes.propose({ what: "start", name: "a design", value: found.design[k] }, this.pane.test) }, "Start from here") : null))));
   }
 
   fillMatrix() {
@@ -284,11 +284,11 @@ export class Designs {
   }
 
   empty(words) {
-    const { page } = this;
+    const { pane } = this;
     this.found = null;
     this.drawn = false;
     this.body.replaceChildren(h("section", { class: "panel empty" }, h("h2", {}, "There are no designs"), h("p", {}, words),
-      h("div", { class: "act" }, page.button("sensitivity", "Sample the parameters", "main"), page.button("calibrate", "Calibrate"), page.quickly())));
+      h("div", { class: "act" }, pane.button("sensitivity", "Sample the parameters", "main"), pane.button("calibrate", "Calibrate"), pane.quickly())));
   }
 }
 

@@ -7,24 +7,24 @@ import { viewer } from "./space.js";
 const WRAPPED = { "white-space": "normal" };
 
 export class Measurement {
-  constructor(page, place) {
-    Object.assign(this, { page, place, seen: "" });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, seen: "" });
     this.failed = h("div", {});
     this.body = h("div", { class: "stack", id: "measurement" });
-    this.changes = new Changes(page, () => { this.known = null; page.refresh(); });
+    this.changes = new Changes(pane, () => { this.known = null; pane.refresh(); });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
   }
 
   async look(live) {
     if (!this.known || live?.results !== this.results) {
-      const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("measurement"))]);
-      if (!this.page.shown) return;
+      const [known, found] = await Promise.all([ask(this.pane.of("")), ask(this.pane.of("measurement"))]);
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.measurement, undoing: found.undo, test: found.test });
-      this.page.knows(known);
+      this.pane.knows(known);
     }
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([this.found, this.undoing, Boolean(this.page.running)]);
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
+    const now = JSON.stringify([this.found, this.undoing, Boolean(this.pane.running)]);
     if (now === this.seen) return;
     this.seen = now;
     if (this.found) this.fill(); else this.empty();
@@ -49,12 +49,12 @@ export class Measurement {
   }
 
   next() {
-    const { found, page } = this;
+    const { found, pane } = this;
     if (!found.order.length && !found.measurements.length) {
       const explained = this.known.analyses.find((one) => one.verb === "explain");
       return h("section", { class: "panel", id: "next" }, h("h2", {}, "What to measure next"),
         h("p", { class: "soft" }, explained?.state === "done" ? "The explanation recommends no further measurement." : "An explanation computes which measurement would tell most: sensors, modes, excitation."),
-        explained && explained.state !== "done" ? h("div", { class: "act" }, page.button("explain", "Find what is missing")) : null);
+        explained && explained.state !== "done" ? h("div", { class: "act" }, pane.button("explain", "Find what is missing")) : null);
     }
     const words = (value) => h("td", { class: "words", style: WRAPPED }, value);
     return h("section", { class: "panel", id: "next" }, h("h2", {}, "What to measure next"),
@@ -68,6 +68,6 @@ export class Measurement {
   empty() {
     this.body.replaceChildren(h("section", { class: "panel empty" }, h("h2", {}, "The measurement has not been read yet"),
       h("p", {}, "A comparison reads every file, combines repeats without outliers, and places the sensors on the model; it takes seconds."),
-      h("div", { class: "act" }, this.page.button("compare", "Compare", "main"))));
+      h("div", { class: "act" }, this.pane.button("compare", "Compare", "main"))));
   }
 }

@@ -6,8 +6,8 @@ import { space } from "./space.js";
 const LONGEST = 12;  // effects that are listed unfolded
 
 export class Missing {
-  constructor(page, place) {
-    Object.assign(this, { page, place, seen: "", results: null, picked: "" });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, seen: "", results: null, picked: "" });
     this.failed = h("div", {});
     this.family = h("div", {});
     this.body = h("div", { class: "stack" });
@@ -15,16 +15,16 @@ export class Missing {
   }
 
   async look(live) {
-    const all = JSON.stringify(Object.entries(this.page.live.studies).map(([key, one]) => [key, one.results]));
+    const all = JSON.stringify(Object.entries(this.pane.live.studies).map(([key, one]) => [key, one.results]));
     if (!this.known || live?.results !== this.results) {
-      const known = await ask(this.page.of("missing"));
-      if (!this.page.shown) return;
+      const known = await ask(this.pane.of("missing"));
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
       this.known = known;
-      this.page.knows(known);
+      this.pane.knows(known);
     }
     if (this.all !== all) {
-      this.versions = (await ask(this.page.of("versions"))).versions;
+      this.versions = (await ask(this.pane.of("versions"))).versions;
       this.all = all;
     }
     this.draw();
@@ -32,8 +32,8 @@ export class Missing {
 
   draw() {
     const { known } = this, found = known.explanation;
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([found, known.analyses, Boolean(this.page.running), found && this.has(found.to_add)?.key]);
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
+    const now = JSON.stringify([found, known.analyses, Boolean(this.pane.running), found && this.has(found.to_add)?.key]);
     if (now !== this.seen) {
       this.seen = now;
       if (!found) this.body.replaceChildren(this.empty());
@@ -57,7 +57,7 @@ export class Missing {
   }
 
   verdict(found) {
-    const { page } = this, names = found.to_add, named = names.length > 0;
+    const { pane } = this, names = found.to_add, named = names.length > 0;
     const words = named ? `Add ${names.join(" and ")}` : "";
     const have = this.has(names);
     return h("section", { class: "panel", id: "verdict" }, h("div", { class: "answer" },
@@ -66,19 +66,19 @@ export class Missing {
       found.answer.sure ? h("p", { class: "soft" }, found.answer.sure) : null,
       found.answer.then ? h("p", {}, h("strong", {}, "Next: "), found.answer.then) : null,
       h("div", { class: "act" },
-        named && !have ? h("button", { type: "button", class: "main", id: "add", disabled: Boolean(page.running), onclick: () => page.add(names) }, words) : null,
+        named && !have ? h("button", { type: "button", class: "main", id: "add", disabled: Boolean(pane.running), onclick: () => pane.add(names) }, words) : null,
         named && have ? h("a", { class: "button", href: `#/${have.key}/overview` }, `Open the study with ${names.join(" and ")}`) : null,
         named && !have ? h("span", { class: "soft small" }, "Writes an extended study among the results and calibrates it; this study stays as it is.") : null,
-        found.composed ? page.button("propose", "Compose effects that nobody listed") : null),
+        found.composed ? pane.button("propose", "Compose effects that nobody listed") : null),
       h("details", {}, h("summary", { class: "soft" }, "Every sentence of the explanation"), h("div", { class: "stack" },
         [...found.sentences, ...found.notes].map((words) => h("p", { class: "small" }, words))))));
   }
 
   // The version of this study that has these effects.
   has(names) {
-    const own = (this.versions ?? []).find((one) => one.key === this.page.key);
+    const own = (this.versions ?? []).find((one) => one.key === this.pane.key);
     const all = JSON.stringify([...(own?.effects ?? []), ...names].sort());
-    return (this.versions ?? []).find((one) => one.key !== this.page.key && JSON.stringify([...one.effects].sort()) === all && one.errors.length);
+    return (this.versions ?? []).find((one) => one.key !== this.pane.key && JSON.stringify([...one.effects].sort()) === all && one.errors.length);
   }
 
   list(found) {
@@ -97,7 +97,7 @@ export class Missing {
   }
 
   show(found) {
-    const one = found.effects.find(({ name }) => name === this.picked), { page } = this;
+    const one = found.effects.find(({ name }) => name === this.picked), { pane } = this;
     if (!one) { this.detail.replaceChildren(); return; }
     const chosen = found.chosen.includes(one.name);
     const rows = [["evidence (log Bayes factor)", one.evidence], ["probability in the list", one.probability], ["score z", one.z], ["magnitude (95 %)", one.magnitude],
@@ -105,14 +105,14 @@ export class Missing {
       ["acts at", one.acts && `${one.acts}. ${found.axes}`], ["remark", one.remark]];
     this.detail.replaceChildren(h("section", { class: "panel" },
       h("div", { class: "head" }, h("h2", {}, one.title), chosen ? h("span", { class: "chip good" }, "named") : null, h("span", { class: "grow" }),
-        !found.to_add.includes(one.name) ? h("button", { type: "button", disabled: Boolean(page.running), onclick: () => page.add([one.name]) }, `Try it: add ${one.name}`) : null),
+        !found.to_add.includes(one.name) ? h("button", { type: "button", disabled: Boolean(pane.running), onclick: () => pane.add([one.name]) }, `Try it: add ${one.name}`) : null),
       h("dl", { class: "pairs" }, rows.filter(([, value]) => value).flatMap(([what, value]) => [h("dt", {}, what), h("dd", { class: "num" }, value)])),
       found.shown.includes(one.name) ? null : h("p", { class: "soft small" }, "Its change pattern is not drawn: the figure compares that of a cause found, or of a close candidate, with the residual.")));
   }
 
   reason(found) {
     if (!found.shown.length) return null;
-    return panel("Why: the residual beside the change pattern", figure(this.page.of("figure/why_this_effect"), "why_this_effect",
+    return panel("Why: the residual beside the change pattern", figure(this.pane.of("figure/why_this_effect"), "why_this_effect",
       `Residual and change pattern, mode by mode and sensor by sensor, in standard deviations. ${found.why.join(". ")}.`));
   }
 
@@ -126,7 +126,7 @@ export class Missing {
 
   inSpace() {
     const place = h("section", { class: "panel", id: "space" }, h("h2", {}, "Where it sits"), h("p", { class: "soft" }, "Reading …"));
-    space(this.page.of("scene"), "effects").then((drawn) => {
+    space(this.pane.of("scene"), "effects").then((drawn) => {
       if (drawn) place.replaceChildren(h("h2", {}, "Where it sits"), drawn);
       else place.remove();
     }).catch((fault) => place.replaceChildren(h("h2", {}, "Where it sits"), h("p", { class: "soft" }, fault.message)));
@@ -146,10 +146,10 @@ export class Missing {
 
   // Versions of the model with their errors on used and held-out data, and one that is being added.
   growth() {
-    const { page } = this, versions = this.versions ?? [];
-    const adding = Object.entries(page.live.studies).flatMap(([key, one]) => one.runs.map((run) => [key, run]))
-      .find(([key, run]) => run.state === "running" && (versions.some((one) => one.key === key && key !== page.key) || run.options?.effects));
-    const now = JSON.stringify([versions, adding?.[1]?.words, adding?.[1]?.left, page.key]);
+    const { pane } = this, versions = this.versions ?? [];
+    const adding = Object.entries(pane.live.studies).flatMap(([key, one]) => one.runs.map((run) => [key, run]))
+      .find(([key, run]) => run.state === "running" && (versions.some((one) => one.key === key && key !== pane.key) || run.options?.effects));
+    const now = JSON.stringify([versions, adding?.[1]?.words, adding?.[1]?.left, pane.key]);
     if (now === this.grown) return;
     this.grown = now;
     const calibrated = versions.filter((one) => one.errors.length);
@@ -161,17 +161,17 @@ export class Missing {
       errors(calibrated),
       h("ul", { class: "tree" }, versions.map((one) => h("li", { style: { "padding-left": `${1.4 * depth(one, versions)}rem` } },
         h("a", { href: `#/${one.key}/overview` }, one.name), h("span", { class: "soft" }, ` ${one.effects.length ? `with ${one.effects.join(" and ")}` : "without effects"}${one.fault ? `, cannot be read: ${one.fault}` : one.errors.length ? "" : ", not calibrated"}`),
-        " ", one.key === page.key ? h("span", { class: "chip" }, "shown") : h("a", { href: page.address("overview", one.key) }, "show beside"))))));
+        " ", one.key === pane.key ? h("span", { class: "chip" }, "shown") : h("a", { href: pane.address("overview", one.key) }, "show beside"))))));
   }
 
   empty() {
-    const { page } = this, done = this.known.analyses.find((one) => one.verb === "calibrate")?.state === "done";
+    const { pane } = this, done = this.known.analyses.find((one) => one.verb === "calibrate")?.state === "done";
     const knows = this.known.analyses.some((one) => one.verb === "explain");
     return h("section", { class: "panel empty" },
       h("h2", {}, knows ? "Nothing has been looked for yet" : "The study names no possible causes"),
       h("p", {}, knows ? "“Find what is missing” tests every possible cause of the study's list, local changes of every part, and errors of the measurement, and says which of them the data support, or that none can be named."
         : "A list of possible causes stands in study.toml as effects = \"FILE.py:FUNCTION\"; then what the model lacks can be named."),
-      h("div", { class: "act" }, page.button("explain", "Find what is missing", knows ? "main" : ""), done ? null : h("span", { class: "soft small" }, "A calibration first makes it faster: its fit is the start.")));
+      h("div", { class: "act" }, pane.button("explain", "Find what is missing", knows ? "main" : ""), done ? null : h("span", { class: "soft small" }, "A calibration first makes it faster: its fit is the start.")));
   }
 }
 

@@ -5,40 +5,40 @@ import { ask, change, figure, h, panel, when } from "./dom.js";
 const STATES = { done: ["●", "good", "done"], stale: ["◐", "warn", "out of date"], never: ["○", "soft", "not run"], running: ["▶", "", "running"] };
 
 export class Overview {
-  constructor(page, place) {
-    Object.assign(this, { page, place, seen: "", results: null });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, seen: "", results: null });
   }
 
   async look(live) {
     if (live && live.results === this.results && this.known) return this.draw(this.known);
-    const known = await ask(this.page.of(""));
-    if (!this.page.shown) return;
+    const known = await ask(this.pane.of(""));
+    if (!this.pane.shown) return;
     this.results = live?.results ?? null;
     this.known = known;
-    this.page.knows(known);
+    this.pane.knows(known);
     this.draw(known);
   }
 
   draw(known) {
-    const { page } = this;
-    const now = JSON.stringify([known, page.running?.verb, page.failed?.pid, page.failed?.state]);
+    const { pane } = this;
+    const now = JSON.stringify([known, pane.running?.verb, pane.failed?.pid, pane.failed?.state]);
     if (now === this.seen) return;
     this.seen = now;
     this.place.replaceChildren(h("div", { class: "stack" },
-      afterFailure(page),
+      afterFailure(pane),
       h("div", { class: "grid two" },
         h("div", { class: "stack" }, this.answer(known), this.steps(known)),
         h("div", { class: "stack" }, this.figures(known), this.notes(known)))));
   }
 
   answer(known) {
-    const { page } = this, { summary } = known, next = known.next.verb;
+    const { pane } = this, { summary } = known, next = known.next.verb;
     if (!summary) {
       return h("section", { class: "panel" }, h("div", { class: "answer" },
         h("p", { class: "found" }, "Nothing has been run yet."),
         h("p", {}, "Begin with the comparison: it tells in seconds how far the model is from the measurement, and whether the data contradict themselves. ",
           "“Run everything” compares, finds the parameters that matter, fits them, and looks for what the model lacks."),
-        h("div", { class: "act" }, page.button("compare", "Compare", "main"), page.button("run", "Run everything"), page.quickly())));
+        h("div", { class: "act" }, pane.button("compare", "Compare", "main"), pane.button("run", "Run everything"), pane.quickly())));
     }
     const named = { run: "Run everything", compare: "Compare", sensitivity: "Find what matters", calibrate: "Calibrate", explain: "Find what is missing",
       propose: "Compose effects", intervals: "Intervals", again: "Failed points again", report: "Write the report" };
@@ -47,30 +47,30 @@ export class Overview {
       summary.sure ? h("p", { class: "soft" }, summary.sure) : null,
       summary.then ? h("p", {}, h("strong", {}, "Next: "), summary.then) : null,
       h("div", { class: "act" },
-        next === "add" ? h("a", { class: "button main", href: page.address("missing") }, "See and add what is missing") :
-          next ? page.button(next, named[next] ?? next, "main") : null,
-        next ? page.quickly() : null,
-        known.report ? h("a", { class: "button", href: page.of("report"), target: "_blank", rel: "noopener" }, "Report") : null)),
+        next === "add" ? h("a", { class: "button main", href: pane.address("missing") }, "See and add what is missing") :
+          next ? pane.button(next, named[next] ?? next, "main") : null,
+        next ? pane.quickly() : null,
+        known.report ? h("a", { class: "button", href: pane.of("report"), target: "_blank", rel: "noopener" }, "Report") : null)),
       h("dl", { class: "facts" }, summary.facts.map(([what, number]) => h("div", {}, h("dt", {}, what), h("dd", {}, number)))),
       summary.origin ? h("p", { class: "soft small" }, summary.origin) : null);
   }
 
   steps(known) {
-    const { page } = this, runs = page.running?.verb;
+    const { pane } = this, runs = pane.running?.verb;
     return panel("Analyses", known.analyses.map((one) => {
       const [mark, kind, words] = STATES[runs === one.verb ? "running" : one.state];
       return h("div", { class: "step" },
         h("span", { class: `state ${kind}`, "aria-hidden": "true" }, mark),
         h("h3", {}, one.title, " ", h("span", { class: "soft small" }, `${words}${one.when ? `, ${when(one.when)}` : ""}${one.quick ? ", quick run" : ""}`)),
         h("p", { class: "clip soft", title: one.stale || one.found || one.what }, one.stale || one.found || one.what),
-        h("div", { class: "act" }, page.button(one.verb, one.state === "never" ? "Run" : "Again")));
-    }), h("div", { class: "act" }, page.button("run", "Run everything"), page.quickly(), h("code", { class: "soft small" }, `calib run ${known.path}`)));
+        h("div", { class: "act" }, pane.button(one.verb, one.state === "never" ? "Run" : "Again")));
+    }), h("div", { class: "act" }, pane.button("run", "Run everything"), pane.quickly(), h("code", { class: "soft small" }, `calib run ${known.path}`)));
   }
 
   figures(known) {
     const own = known.figure;
     if (!own) return null;
-    const path = this.page.of(`figure/${own.name}`, own.test ? { test: own.test } : {});
+    const path = this.pane.of(`figure/${own.name}`, own.test ? { test: own.test } : {});
     return panel(own.test ? `Model against measurement, ${own.test}` : "Model against measurement", figure(path, own.name, own.words));
   }
 

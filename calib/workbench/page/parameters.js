@@ -7,8 +7,8 @@ const WORDS = { parameters: "Fitted values between the limits", profiles: "Profi
   selection: "Which parameters matter", sensitivity: "Sensitivity of the responses" };
 
 export class Parameters {
-  constructor(page, place) {
-    Object.assign(this, { page, place, results: null, picked: "", seen: "" });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, results: null, picked: "", seen: "" });
     this.failed = h("div", {});
     this.body = h("div", { class: "stack" });
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
@@ -16,21 +16,21 @@ export class Parameters {
 
   async look(live) {
     if (!this.known || live?.results !== this.results) {
-      const [known, found] = await Promise.all([ask(this.page.of("")), ask(this.page.of("parameters"))]);
-      if (!this.page.shown) return;
+      const [known, found] = await Promise.all([ask(this.pane.of("")), ask(this.pane.of("parameters"))]);
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
       Object.assign(this, { known, found: found.parameters });
-      this.page.knows(known);
+      this.pane.knows(known);
     }
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
-    const now = JSON.stringify([this.found, Boolean(this.page.running)]);
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
+    const now = JSON.stringify([this.found, Boolean(this.pane.running)]);
     if (now === this.seen) return;
     this.seen = now;
     if (this.found) this.fill(); else this.empty();
   }
 
   fill() {
-    const { found, page } = this, fitted = found.rows.some((one) => one.value !== null);
+    const { found, pane } = this, fitted = found.rows.some((one) => one.value !== null);
     this.picked = found.rows.some((one) => one.name === this.picked) ? this.picked : found.rows[0]?.name ?? "";
     this.detail = h("div", {});
     this.space = found.layers.length ? viewer({ ...found.scene, stages: [], layers: found.layers }) : null;
@@ -44,7 +44,7 @@ export class Parameters {
           h("div", { class: "wide" }, h("table", { class: "parameters" }, h("thead", {}, h("tr", {}, head.map((words) => h("th", { scope: "col" }, words)))), this.rows)),
           h("ul", { class: "legend" }, h("li", { class: "soft" }, h("i", { class: "band" }), "prior ± 1 sd"), h("li", { class: "soft" }, h("i", { class: "tick" }), "nominal"),
             fitted ? h("li", { class: "soft" }, h("i", { class: "dot" }), "fitted, with its 95 % interval") : null),
-          fitted ? null : h("div", { class: "act" }, page.button("calibrate", "Calibrate", "main"), page.quickly())),
+          fitted ? null : h("div", { class: "act" }, pane.button("calibrate", "Calibrate", "main"), pane.quickly())),
         found.figures.slice(0, 1).map((name) => this.drawn(name))),
       h("div", { class: "stack" }, this.detail, this.space ? h("section", { class: "panel", id: "space" }, h("h2", {}, "Where it acts"), this.space) : null)),
     h("div", { class: "grid even" }, found.figures.slice(1).map((name) => this.drawn(name)), this.others(fitted)));
@@ -54,16 +54,16 @@ export class Parameters {
   // What else can be known of the parameters, with the command for it.
   others(fitted) {
     return this.known.analyses.filter((one) => one.state !== "done" && (one.verb === "sensitivity" || (one.verb === "intervals" && fitted))).map((one) =>
-      panel(one.title, h("p", { class: "soft" }, one.stale || `Not run: ${one.what}.`), h("div", { class: "act" }, this.page.button(one.verb, `Run calib ${one.verb}`), this.page.quickly())));
+      panel(one.title, h("p", { class: "soft" }, one.stale || `Not run: ${one.what}.`), h("div", { class: "act" }, this.pane.button(one.verb, `Run calib ${one.verb}`), this.pane.quickly())));
   }
 
   drawn(name) {
-    return panel(WORDS[name], figure(this.page.of(`figure/${name}`), name, WORDS[name]));
+    return panel(WORDS[name], figure(this.pane.of(`figure/${name}`), name, WORDS[name]));
   }
 
   choose(name) {
     this.pick(name);
-    this.page.picked({ parameter: name });
+    this.pane.picked({ parameter: name });
   }
 
   // A parameter was picked beside this study.
@@ -95,7 +95,7 @@ export class Parameters {
     this.body.replaceChildren(h("section", { class: "panel empty" },
       h("h2", {}, "The parameters are not listed yet"),
       h("p", {}, "The first analysis writes every parameter with its limits, its prior and its place on the model; a comparison takes seconds."),
-      h("div", { class: "act" }, this.page.button("compare", "Compare", "main"))));
+      h("div", { class: "act" }, this.pane.button("compare", "Compare", "main"))));
   }
 }
 

@@ -7,8 +7,8 @@ import { Shapes } from "./shapes.js";
 const WAIT = 1000;  // milliseconds between two looks while the model is read
 
 export class Search {
-  constructor(page, place) {
-    Object.assign(this, { page, place, cases: new Map(), last: 0, seen: "", live: null, stamp: null });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, cases: new Map(), last: 0, seen: "", live: null, stamp: null });
     this.chart = new Chart("Misfit over the generations", "generation", "misfit");
     this.head = h("div", {});
     this.legend = h("ul", { class: "legend" });
@@ -29,14 +29,14 @@ export class Search {
   }
 
   async look(live) {
-    if (!this.page.known || this.results !== live?.results) {
-      this.page.knows(await ask(this.page.of("")));
+    if (!this.pane.known || this.results !== live?.results) {
+      this.pane.knows(await ask(this.pane.of("")));
       this.results = live?.results;
     }
     if (!live || live.search !== this.stamp || !this.found) {
       this.stamp = live?.search ?? null;
-      const found = await ask(this.page.of("search", { since: this.last }));
-      if (!this.page.shown) return;
+      const found = await ask(this.pane.of("search", { since: this.last }));
+      if (!this.pane.shown) return;
       this.take(found);
     }
     this.draw();
@@ -60,8 +60,8 @@ export class Search {
   }
 
   draw() {
-    const { page, found } = this, run = page.running;
-    this.failed.replaceChildren(afterFailure(page) ?? "");
+    const { pane, found } = this, run = pane.running;
+    this.failed.replaceChildren(afterFailure(pane) ?? "");
     if (!found.cases.length && !run) {
       this.place.replaceChildren(this.failed, this.empty());
       return;
@@ -92,15 +92,15 @@ export class Search {
   }
 
   clock() {
-    const run = this.page.running, since = run ? Date.now() / 1000 - run.began : 0;
+    const run = this.pane.running, since = run ? Date.now() / 1000 - run.began : 0;
     const now = JSON.stringify([run?.words, run?.left, run?.stopping, Math.round(since)]);
     if (now === this.seen) return;
     this.seen = now;
     this.head.replaceChildren(h("div", { class: "head" }, run ? [
       h("h2", {}, phase(run)), bar(run.done, run.total), h("span", { class: "grow" }),
       h("span", { class: "soft num", id: "left" }, `${lasting(since)} so far${run.left ? `, ${run.left} left` : ""}`),
-      h("button", { type: "button", class: "stop", disabled: run.stopping, onclick: () => this.page.stop(run.pid) }, run.stopping ? "Stopping …" : "Stop"),
-    ] : [h("h2", {}, "Search"), h("span", { class: "grow" }), this.page.quickly(), this.page.button("calibrate", "Calibrate again")]));
+      h("button", { type: "button", class: "stop", disabled: run.stopping, onclick: () => this.pane.stop(run.pid) }, run.stopping ? "Stopping …" : "Stop"),
+    ] : [h("h2", {}, "Search"), h("span", { class: "grow" }), this.pane.quickly(), this.pane.button("calibrate", "Calibrate again")]));
   }
 
   errors(best) {
@@ -121,13 +121,13 @@ export class Search {
     this.drawing = true;
     const say = (words) => this.worst.replaceChildren(h("h2", {}, "Worst mode of the best design"), h("p", { class: "soft", role: "status" }, words));
     try {
-      const state = await ask(this.page.of("what-if"));
+      const state = await ask(this.pane.of("what-if"));
       if (state.fault) throw new Error(state.fault);
       if (state.ready) {
-        this.scene ??= (await ask(this.page.of("scene"))).scene;
+        this.scene ??= (await ask(this.pane.of("scene"))).scene;
         const stage = this.scene?.stages.find((one) => one.modes.length)?.name.split(" ")[0];
-        const found = await change(this.page.of("evaluate"), { values: best.values, effects: [], mode: best.worst });
-        if (!this.page.shown) return;
+        const found = await change(this.pane.of("evaluate"), { values: best.values, effects: [], mode: best.worst });
+        if (!this.pane.shown) return;
         this.shapes ??= stage ? new Shapes(this.scene) : null;
         const shape = this.shapes?.show(stage, best.worst, found.motion), row = found.rows.find((one) => one.name === best.worst);
         if (shape && shape.parentElement !== this.worst) this.worst.replaceChildren(h("h2", {}, "Worst mode of the best design"), shape);
@@ -135,7 +135,7 @@ export class Search {
         this.drawn = now;
       } else {
         say(`${state.stage} …`);
-        setTimeout(() => { if (this.page.shown) this.shape(); }, WAIT);
+        setTimeout(() => { if (this.pane.shown) this.shape(); }, WAIT);
       }
     } catch (fault) {
       say(fault.message);
@@ -149,7 +149,7 @@ export class Search {
     if (this.after.dataset.of === key) return;
     this.after.dataset.of = key;
     this.after.replaceChildren(...(done ? [
-      panel("Where the cases ended", figure(this.page.of("figure/searches"), "searches", "Where the search of every case ended, between the limits")),
+      panel("Where the cases ended", figure(this.pane.of("figure/searches"), "searches", "Where the search of every case ended, between the limits")),
     ] : []));
   }
 
@@ -157,7 +157,7 @@ export class Search {
     return h("section", { class: "panel empty" },
       h("h2", {}, "No search has been run"),
       h("p", {}, "A calibration searches the parameters in several independent cases and refines each by least squares. Its curves appear here while it runs, also where a terminal has started it."),
-      h("div", { class: "act" }, this.page.button("calibrate", "Calibrate", "main"), this.page.quickly()));
+      h("div", { class: "act" }, this.pane.button("calibrate", "Calibrate", "main"), this.pane.quickly()));
   }
 
   themed() {

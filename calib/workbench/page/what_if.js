@@ -9,11 +9,11 @@ const STEPS = 1000;  // places of a slider
 const WAIT = 600;  // milliseconds between two looks while the model is read
 
 export class WhatIf {
-  constructor(page, place) {
-    Object.assign(this, { page, place, seen: "", values: {}, on: new Set(), mode: "", began: 0 });
+  constructor(pane, place) {
+    Object.assign(this, { pane, place, seen: "", values: {}, on: new Set(), mode: "", began: 0 });
     this.failed = h("div", {});
     this.body = h("div", { class: "stack", id: "what-if" });
-    this.changes = new Changes(page, () => page.refresh());
+    this.changes = new Changes(pane, () => pane.refresh());
     this.undo = h("span", {});
     place.replaceChildren(h("div", { class: "stack" }, this.failed, this.body));
   }
@@ -26,14 +26,14 @@ export class WhatIf {
   async look(live) {
     clearTimeout(this.waiting);
     if (!this.known || live?.results !== this.results) {
-      this.known = await ask(this.page.of(""));
-      if (!this.page.shown) return;
+      this.known = await ask(this.pane.of(""));
+      if (!this.pane.shown) return;
       this.results = live?.results ?? null;
-      this.page.knows(this.known);
+      this.pane.knows(this.known);
     }
-    const state = await ask(this.page.of("what-if"));
-    if (!this.page.shown) return;
-    this.failed.replaceChildren(afterFailure(this.page) ?? "");
+    const state = await ask(this.pane.of("what-if"));
+    if (!this.pane.shown) return;
+    this.failed.replaceChildren(afterFailure(this.pane) ?? "");
     this.test = state.test;
     if (!state.ready) { this.prepare(state); return; }
     this.undo.replaceChildren(this.changes.undo(state.undo, state.test) ?? "");
@@ -45,15 +45,15 @@ export class WhatIf {
     }
     this.seen = now;
     this.ready = state.ready;
-    this.scene = (await ask(this.page.of("scene"))).scene;
-    if (this.page.shown) this.fill();
+    this.scene = (await ask(this.pane.of("scene"))).scene;
+    if (this.pane.shown) this.fill();
   }
 
   prepare(state) {
-    const { page } = this;
+    const { pane } = this;
     if (this.ready && state.stage) {  // the study has changed: what is shown stays until the model is there again
       this.trouble.textContent = `${state.stage} …`;
-      this.waiting = setTimeout(() => page.refresh(), WAIT);
+      this.waiting = setTimeout(() => pane.refresh(), WAIT);
       this.behind = true;
       return;
     }
@@ -62,13 +62,13 @@ export class WhatIf {
     if (state.fault) {
       const earlier = this.known.analyses.find((one) => one.verb === "compare" && one.state === "never");
       this.body.replaceChildren(h("section", { class: "panel empty" }, h("h2", {}, "The model cannot be moved yet"), h("p", {}, state.fault),
-        earlier ? h("div", { class: "act" }, page.button("compare", "Compare", "main")) : null));
+        earlier ? h("div", { class: "act" }, pane.button("compare", "Compare", "main")) : null));
       return;
     }
     this.body.replaceChildren(h("section", { class: "panel empty" }, h("h2", {}, "The model is being prepared"),
       h("p", {}, "A large model is reduced to a basis once, for parameters and effects together; it is kept, and an evaluation then takes milliseconds."),
       h("div", { class: "act" }, bar(state.done, state.total), h("span", { class: "num" }, state.stage))));
-    this.waiting = setTimeout(() => page.refresh(), WAIT);
+    this.waiting = setTimeout(() => pane.refresh(), WAIT);
   }
 
   // -- the view ------------------------------------------------------------------------------------------------------
@@ -129,7 +129,7 @@ export class WhatIf {
       if (effect !== null && !this.on.has(effect)) { this.on.add(effect); this.write(); }
       write();
       this.ask(event.timeStamp);
-      this.page.picked({ parameter: one.name, value: this.values[one.name] });
+      this.pane.picked({ parameter: one.name, value: this.values[one.name] });
     });
     this.sliders.set(one.name, write);
     return h("label", { class: "slider", title: title === one.name ? one.words : `${one.name}: ${one.words}` }, h("span", { class: "name" }, title), number, range);
@@ -176,23 +176,23 @@ export class WhatIf {
       const since = this.began;
       try {
         const found = await this.evaluated({});
-        if (!this.page.shown) break;
+        if (!this.pane.shown) break;
         this.base ??= found;
         this.show(found);
         this.trouble.textContent = "";
         this.body.dataset.latency = (performance.now() - since).toFixed(1);  // which the benchmark reads
         this.body.dataset.moves = Number(this.body.dataset.moves ?? 0) + 1;
       } catch (fault) {
-        if (!this.page.shown) break;
+        if (!this.pane.shown) break;
         this.trouble.textContent = fault.message;
-        if (!this.again) this.page.refresh();
+        if (!this.again) this.pane.refresh();
       }
     } while (this.again);
     this.asking = false;
   }
 
   evaluated(more) {
-    return change(this.page.of("evaluate"), { values: this.values, effects: [...this.on], mode: this.shapes ? this.mode : "", function: this.mode, ...more });
+    return change(this.pane.of("evaluate"), { values: this.values, effects: [...this.on], mode: this.shapes ? this.mode : "", function: this.mode, ...more });
   }
 
   show(found) {
@@ -223,14 +223,14 @@ export class WhatIf {
       ["error of the fitted data", h("span", {}, h("strong", {}, `${short(found.rms)} σ`), h("span", { class: "soft" }, `, before ${short(this.base.rms)} σ; a correct model has about 1`))],
       ["error of the reduced basis", found.error === undefined ? "none: solved at full order" : h("span", { class: within ? "" : "warn" }, `${found.error.toExponential(1)}${unit} ${of}, tolerance ${found.tolerance.toExponential(0)}${unit}${within ? "" : ": solve at full order"}`)],
     ].flatMap(([what, value]) => [h("dt", {}, what), h("dd", { class: "num" }, value)]));
-    const now = JSON.stringify([on, within, Boolean(this.page.running)]);
+    const now = JSON.stringify([on, within, Boolean(this.pane.running)]);
     if (this.offered === now && this.offer.firstChild) return;
     this.offered = now;
     const have = this.known.summary !== null;
     this.offer.replaceChildren(...[
       h("button", { type: "button", id: "start", onclick: () => this.start() }, "Start from here"),
       found.error === undefined ? null : h("button", { type: "button", onclick: (event) => this.check(event.target) }, "Check at full order"),
-      on.length && have ? h("button", { type: "button", disabled: Boolean(this.page.running), onclick: () => this.page.add(on) }, `Add ${on.join(" and ")}`) : null,
+      on.length && have ? h("button", { type: "button", disabled: Boolean(this.pane.running), onclick: () => this.pane.add(on) }, `Add ${on.join(" and ")}`) : null,
       this.undo,
     ].filter(Boolean));
   }
@@ -257,7 +257,7 @@ export class WhatIf {
   pick(name) {
     this.mode = name;
     this.ask(performance.now());
-    this.page.picked({ mode: name });
+    this.pane.picked({ mode: name });
   }
 
   // A parameter was moved, or a mode picked, beside this study.
