@@ -11,12 +11,9 @@ import pytest
 import calib
 from calib.analyses.calibrate import CalibrationRun, calibrated
 from calib.analyses.hypotheses_of_study import faults_of
-from calib.api.arguments import CalibrationKeys, ExplainKeys
 from calib.command import cli
 from calib.command.example import write_example
 from calib.results.ledger import Ledger
-from calib.study.search_settings import CalibrationSettings
-from calib.study.settings import ExplainSettings
 
 STUDIES = Path(__file__).resolve().parents[2] / "studies"
 QUICK = ["five_mass_chain"]
@@ -122,12 +119,6 @@ def test_set_ups_are_suspected_from_both_doors(tmp_path):
         for one in (study.loaded, study.problem.study())
     )
     assert own == mine and [name.split()[-1] for name in own] == ["a", "b"]
-
-
-def test_every_key_that_steers_an_analysis_is_an_argument():
-    calibration, explain = CalibrationKeys.__annotations__.keys(), ExplainKeys.__annotations__.keys()
-    assert set(CalibrationSettings.model_fields) == calibration - {"alpha", "mesh_sd"} | {"time_limit", "cases"}
-    assert set(ExplainSettings.model_fields) == explain | {"finer_options"}
 
 
 @pytest.mark.medium
