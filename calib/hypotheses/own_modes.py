@@ -86,8 +86,8 @@ def own_modes_sentence(table: pd.DataFrame) -> str:
         shares = sorted({f"{100 * share:.0f}" for share in (rows["share"].min(), rows["share"].max())})
         out.append(
             f"{name} adds {'a mode' if one else f'{len(rows)} modes'} at "
-            f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: the degrees of freedom that it adds "
-            f"hold {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
+            f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: its motion relative to the "
+            f"structure has {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
             f"{'it' if one else 'them'}."
         )
     return " ".join(out)

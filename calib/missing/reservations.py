@@ -8,12 +8,15 @@ from typing import NamedTuple
 import pandas as pd
 
 from calib.missing.explanation import Explanation
+from calib.missing.local import range_words
 from calib.missing.rules import RULES
 from calib.missing.suspect import suspect_sentence
 from calib.missing.verdict_words import limits_sentence
 
 _LISTED = 6
 """Largest number of effects that a doubt lists."""
+_MASS = ("kg", "t", "g")
+"""Units of magnitudes that can be weighed."""
 
 
 class Reservation(NamedTuple):
@@ -51,7 +54,7 @@ def reservations(
 def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assumed: str) -> Iterator[Reservation]:
     assert found.chosen is not None
     if pointed:
-        yield Reservation(pointed, "Inspect both places and what is mounted between them.")
+        yield Reservation(pointed, "Look at what is mounted at either place and between them.")
     suspects = found.suspects[found.suspects["explains"].astype(bool)]
     if found.verdict == "effect" and len(suspects):
         check = "Measure it again with another excitation, and compare its repeats."
@@ -69,7 +72,7 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
             f"Look at the {what} in the measurement, and measure it again.",
         )
     if limited := limits_sentence(found):
-        yield Reservation(limited, "Ask whether the limit is a physical one.")
+        yield Reservation(limited, "Ask whether that search limit is a physical one.")
     if assumed:
         yield Reservation(
             f"The standard deviation is assumed: {assumed}.", "Repeat the test at least three times, or state accuracy."
@@ -79,7 +82,8 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         f"A cause that is not among the {count} listed ones may look the same."
         if count > 1
         else "A cause that is not listed may look the same.",
-        "Look at the structure there before you change model or drawing. If nothing is found, list further causes.",
+        f"Look at the structure there before you change model or drawing. {_weighed(found, effects)}If nothing is "
+        "found, list further causes.",
     )
     hidden = effects[~effects["visible"].astype(bool) & ~effects["name"].isin(found.chosen.names)]
     unseen = hidden["title"].tolist()
@@ -89,3 +93,15 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
             f"Not visible in these data, whether there or not: {'; '.join([*unseen[:_LISTED], *more])}.",
             "The recommended measurements tell what would show each.",
         )
+
+
+def _weighed(found: Explanation, effects: pd.DataFrame) -> str:
+    """What a scale should show where a named effect is a mass, with a space behind it; empty where none is."""
+    assert found.chosen is not None
+    rows = effects[effects["name"].isin(found.chosen.names) & effects["refitted"].astype(bool)]
+    masses = [
+        range_words(float(r["magnitude_low"]), float(r["magnitude_high"]), str(r["unit"]))
+        for r in rows.to_dict("records")
+        if r["unit"] in _MASS
+    ]
+    return f"Weigh what you find there: {' and '.join(masses)} are expected. " if masses else ""

@@ -127,7 +127,7 @@ def _of_mode(found: Excitation) -> dict[str, object]:
     """Where and with what a mode is excited, its band and the resolution that its damping asks for."""
     at = f"({', '.join(f'{c:.2f}' for c in found.at)}) m"
     damping = found.damping if np.isfinite(found.damping) else 0.0
-    fading = f"a shaker and a slow sweep (an impact dies out too soon at {100 * damping:.2g} % damping)"
+    fading = f"a shaker and a slow sweep: at {100 * damping:.2g} % damping a tap only shows that there is a resonance"
     by = fading if damping > _HAMMER else _IMPACT
     hung = in_prose(found.hung)
     place = f"on the {hung} itself, which hangs at {at}," if hung else f"at {at}"

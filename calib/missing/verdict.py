@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import pandas as pd
 
+from calib.missing.coverage import coverage_sentence
 from calib.missing.data_words import contradicted_words, error_words, unseen_words
 from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.goodness import worst_repeats
@@ -110,7 +111,7 @@ def verdict_of(
     """
     leave_out = _without_doubtful(found, doubts)
     words = leave_out or WORDS[found.verdict](found, effects)
-    sure, support = [words.sure], list(words.support)
+    sure, support = [coverage_sentence(found), words.sure], list(words.support)
     if found.verdict == "misfit_unlocated" and disagreements is not None:
         repeats = worst_repeats(found.base_adequacy, disagreements)[:_REPEATS]
         support.append("Repeats that disagree with the others: " + ", ".join(repeats) + "." if repeats else "")

@@ -170,8 +170,11 @@ def limits_sentence(found: Explanation) -> str:
     if not held:
         return ""
     if len(held) == 1:
-        return f"{held[0]} ends at its limit: unless that is a physical one, widen it and explain again."
-    return f"{names_in_words(held)} end at their limits: unless these are physical ones, widen them and explain again."
+        return f"{held[0]} ends at its search limit: unless that is a physical one, widen it and explain again."
+    return (
+        f"{names_in_words(held)} end at their search limits: unless these are physical ones, widen them and explain "
+        "again."
+    )
 
 
 def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
@@ -270,7 +273,10 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
-    return f"The list of causes states that place; without it the data fit best with {best}, {away[best]:.2g} m away."
+    return (
+        f"The list of causes assumes this place. By the data alone, {best} fits best, {away[best]:.2g} m from there: "
+        "inspect both places."
+    )
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

@@ -76,11 +76,12 @@ class AnsweredPlace:
         if len(self.acts):
             out["star"] = f"{what},\n{places(self.acts.tolist(), _PLACES)} m by the list of causes"
         if self.alone:
-            away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m away"
-            without = "without the list of causes the data fit best with" if len(self.acts) else "the data point to"
-            out["diamond"] = f"{without}\n{self.alone}{away}"
+            away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m from the star"
+            best = f"by the data alone,\n{self.alone} fits best"
+            out["diamond"] = f"{best}{away}" if len(self.acts) else f"the data point to\n{self.alone}"
         if self.sensor:
-            out["ring"] = f"sensor {self.sensor}, where the mode shapes show it most, near or far"
+            it = "what is at the star" if len(self.acts) else "it"
+            out["ring"] = f"sensor {self.sensor}, where {it}\nchanges the mode shapes most"
         return out
 
 
@@ -192,9 +193,13 @@ def answer_figure(
     named = [(found.sensor, found.sensor_at), (found.alone_sensor, found.alone_at)]
     named = [(name, at) for name, at in dict(named).items() if name]
     alone = [found.alone_at[None]] if found.alone else []
-    known = np.concatenate([points, *(at[None] for _, at in named), *alone, found.acts])
+    sides = scene.side_arrows(points)
+    known = np.concatenate([points, *(at[None] for _, at in named), *alone, found.acts, *sides.values()])
+    radii = np.zeros(len(known))
+    radii[len(known) - len(found.acts) - 2 * len(sides) :] = _STAR["markersize"] / 2
     scene.frame_panel(ax, known, "")
-    scene.number_points(ax, known, {len(points) + k: name for k, (name, _) in enumerate(named)})
+    scene.number_points(ax, known, {len(points) + k: name for k, (name, _) in enumerate(named)}, radii)
+    scene.mark_sides(ax, sides)
     handles = [Line2D([], [], linestyle="none", label=text, **_LOOKS[mark]) for mark, text in marks.items()]
     for handle in handles:
         handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
 from typing import cast
@@ -36,17 +37,23 @@ _POINTED = 13.0
 """Diameter in points of the area that shows words under the mouse."""
 _NEAR = 6
 """Decimals of coordinates, in metres, at which two places are one."""
-_z_up: ContextVar[bool] = ContextVar("z_up", default=False)
+_axes: ContextVar[str] = ContextVar("axes", default="")
+_SIDES = re.compile(r"\b([xyz]) (?:to the )?(front|rear|left|right)\b")
+"""How the axes of a model name the sides of it, as in ``x to the front, y up, z to the left``."""
+_BEYOND = 0.07
+"""Length of the arrow to a side over the diagonal of the model."""
+_BESIDE = np.array([4.0, 7.0])
+"""Points between an arrow and the name of its side, across and up."""
 
 
 @contextlib.contextmanager
 def upright(axes: str) -> Iterator[None]:
     """Let what is drawn stand as its axes say: z points upwards where they name ``z up``, otherwise y does."""
-    before = _z_up.set("z up" in axes)
+    before = _axes.set(axes)
     try:
         yield
     finally:
-        _z_up.reset(before)
+        _axes.reset(before)
 
 
 def plot_coordinates(points: np.ndarray) -> np.ndarray:
@@ -56,9 +63,36 @@ def plot_coordinates(points: np.ndarray) -> np.ndarray:
     ----------
     points : ndarray (..., 3)
     """
-    if _z_up.get():
+    if "z up" in _axes.get():
         return np.asarray(points)
     return np.stack([points[..., 0], -points[..., 2], points[..., 1]], axis=-1)
+
+
+def side_arrows(points: np.ndarray) -> dict[str, np.ndarray]:
+    """Return an arrow (2, 3) that leaves the points (n, 3) to every side that the axes name, such as ``front``."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    length, up = _BEYOND * float(np.linalg.norm(high - low)), int(np.argmax(plot_coordinates(np.eye(3))[:, 2]))
+    arrows = {}
+    for axis, side in _SIDES.findall(_axes.get()):
+        k = PLACE.index(axis)
+        start = (low + high) / 2
+        start[up], start[k] = low[up], high[k] + length / 2
+        arrows[side] = np.array([start, start + length * np.eye(3)[k]])
+    return arrows
+
+
+def mark_sides(ax: Axes3D, arrows: Mapping[str, np.ndarray]) -> None:
+    """Draw arrows from `side_arrows` with the names of their sides; the panel is already framed."""
+    for side, arrow in arrows.items():
+        x, y, _ = proj_transform(*plot_coordinates(arrow).T, ax.get_proj())
+        (start, end) = np.column_stack([x, y])
+        looks = {"arrowstyle": "-|>", "linewidth": 1.0, "color": BLACK, "shrinkA": 0.0, "shrinkB": 0.0}
+        ax.annotate("", end, xytext=start, annotation_clip=False, arrowprops=looks)
+        way = (end - start) / max(float(np.linalg.norm(end - start)), 1e-9)
+        ax.annotate(
+            side, end, xytext=_BESIDE * way, textcoords="offset points", annotation_clip=False, fontsize=8.5,
+            ha="left" if way[0] > 0 else "right", va="center",
+        )  # fmt: skip
 
 
 def axis_vectors(directions: Iterable[str]) -> np.ndarray:
@@ -168,7 +202,9 @@ def frame_panel(ax: Axes3D, points: np.ndarray, title: str) -> None:
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
 
 
-def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | str]) -> None:
+def number_points(
+    ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | str], radii: np.ndarray | None = None
+) -> None:
     """Number some of the points, each on the side with most room inside the panel.
 
     Parameters
@@ -179,6 +215,8 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | st
         Points that a number must not cover, metres.
     numbers : mapping from int to int or str
         Row of `points`, and what to write beside it.
+    radii : ndarray (n,), optional
+        Of the marks at the points, in points; by default these are small.
     """
     if not numbers:
         return
@@ -190,6 +228,8 @@ def number_points(ax: Axes3D, points: np.ndarray, numbers: Mapping[int, int | st
     around = np.column_stack([np.cos(turns), np.sin(turns)])
     box = ax.get_position(original=True).transformed(ax.get_figure(root=True).transFigure)
     taken, sizes = seen, np.zeros_like(seen)
+    if radii is not None:
+        sizes += radii[:, None] * DPI / 72.0
     for k, number in numbers.items():
         half = 0.5 * np.array([_DIGIT[0] * len(str(number)), _DIGIT[1]])
         offsets = around * (_LEADER + half - 0.5 * _DIGIT)

@@ -83,8 +83,8 @@ def frame_effects() -> tuple[Effect, ...]:
             title="Brake unit hung elastically on the front crossbar",
             phrase="a brake unit hung elastically on the front crossbar",
             lacks="Everything on the crossbars moves rigidly with them.",
-            look_for="A brake unit on rubber bushes at the left of the front crossbar: an accelerometer on it "
-            "shows its own frequency when it is tapped.",
+            look_for="A brake unit on rubber bushes at the left of the front crossbar: weigh it; an accelerometer on "
+            "it shows a resonance of its own when it is tapped.",
             magnitude=Parameter("brake_unit", 0.1, 0.1, 500.0, "kg", prior_sd=80.0, description="mass of the unit"),
             build=_brake_unit,
             nuisance=(_UNIT_FREQ,),

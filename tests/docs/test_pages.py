@@ -13,6 +13,7 @@ import pytest
 import calib
 import calib.structure
 from calib.analyses.provenance.state import every_rule
+from calib.missing.coverage import MODES
 from calib.results.version import FALLBACK
 from calib.study.schema import schema
 
@@ -75,14 +76,11 @@ def test_a_figure_whose_results_are_not_at_hand_keeps_its_file(tmp_path, monkeyp
     assert list((tmp_path / "drawn").iterdir()) == []
 
 
-def test_the_page_says_of_intervals_what_was_counted():
-    held, of = re.search(
-        r"Intervals cover the truth in (\d+) of (\d+)", (ROOT / "docs/error_rates.md").read_text("utf-8")
-    ).groups()
-    for told in (README, ROOT / "calib/report/html/template/page.html.j2"):
-        words = " ".join(told.read_text("utf-8").split())
-        (share,) = re.findall(rf"magnitude in {held} of {of}(?: cases)?: read (?:it as )?(\d+) %", words)
-        assert int(share) == round(100 * int(held) / int(of))
+def test_a_verdict_and_the_read_me_say_of_intervals_what_was_counted():
+    counted = (ROOT / "docs/error_rates.md").read_text("utf-8")
+    held, of = map(int, re.search(r"Intervals cover the truth in (\d+) of (\d+)", counted).groups())
+    assert (MODES.held, MODES.of) == (held, of) and f"as {round(100 * held / of)} %" in MODES.sentence
+    assert MODES.sentence in " ".join(README.read_text("utf-8").split())
 
 
 def test_the_rates_of_the_read_me_are_those_that_were_counted(monkeypatch):

@@ -22,7 +22,11 @@ def found(values, names_something=True):
 
 @pytest.mark.parametrize(
     ("values", "begins"),
-    [((2.0, 1.0, 1.0), "k ends at its limit"), ((2.0, 0.0, 1.0), "k and c end at their limits"), ((1.0, 1.0, 2.0), "")],
+    [
+        ((2.0, 1.0, 1.0), "k ends at its search limit"),
+        ((2.0, 0.0, 1.0), "k and c end at their search limits"),
+        ((1.0, 1.0, 2.0), ""),
+    ],
 )
 def test_parameters_of_the_model_that_end_at_a_limit_are_told(values, begins):
     told = limits_sentence(found(values))

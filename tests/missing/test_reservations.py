@@ -73,3 +73,11 @@ def test_sentences_name_effects_in_words_and_a_mode_first_with_its_frequency():
         "Without mode 2B-3 (20 Hz) brake unit fits; brake_unit_freq and damping of 9B (35.5 Hz). Or mode 2B (11 Hz), "
         "then mode 2B. Mode 9B."
     )
+
+
+@pytest.mark.parametrize(("unit", "told"), [("kg", True), ("kN/m", False)])
+def test_what_is_a_mass_can_be_weighed(found, effects, unit, told):
+    of_unit = effects.assign(unit=unit, refitted=True)
+    of_unit.loc[of_unit["name"] == "E2", ["magnitude_low", "magnitude_high"]] = [54.4, 74.2]
+    checks = " ".join(one.check for one in reservations(found, of_unit))
+    assert ("54 to 74 kg" in checks) == told and ("Weigh" in checks) == told

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 
 from calib.report.answer import answer_figure, answered_place, most_telling_error
+from calib.report.scene import side_arrows, upright
 from calib.report.style import style
 
 PLACE = ["x", "y", "z"]
@@ -66,7 +67,7 @@ def test_stars_stand_where_the_named_effect_acts_and_only_there(sensors, acts, p
     np.testing.assert_allclose(marks(figure, "sensors"), sensors[PLACE].dropna())
     assert {"3y", "2y"} <= {text.get_text() for text in figure.axes[0].texts}
     words = " ".join(text.get_text() for text in figure.legends[0].get_texts())
-    assert "unit, 64 kg" in words and "sensor 2y, 1 m away" in words and "sensor 3y" in words
+    assert "unit, 64 kg" in words and "sensor 2y fits best, 1 m from the star" in words and "sensor 3y" in words
 
 
 def test_the_bars_are_the_error_in_data_that_no_fit_has_seen(sensors, acts, pattern, local, errors):
@@ -101,3 +102,23 @@ def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern,
     found = answered_place(sensors, acts, pattern, part)
     assert found.alone == "mass of the beam" and np.isnan(found.away)
     assert not any("away" in words for words in found.marks("unit").values())
+
+
+@pytest.mark.parametrize(
+    ("axes", "ends"),
+    [
+        ("x to the front, y up, z to the left", {"front": [4, 0, 1], "left": [2, 0, 2]}),
+        ("x to the front, y to the left, z up", {"front": [4, 0, 0], "left": [2, 0, 0]}),  # on the lowest z
+        ("x along the arm, y up", {}),
+    ],
+)
+def test_the_sides_that_the_axes_name_are_marked(sensors, acts, pattern, local, axes, ends):
+    with style(), upright(axes):
+        arrows = side_arrows(REST.reshape(-1, 3))
+        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), "unit", "", sensors, None)
+    assert {text.get_text() for text in figure.axes[0].texts} & {"front", "left"} == set(arrows) == set(ends)
+    for side, (start, end) in arrows.items():
+        way = np.abs(end - start)
+        assert np.count_nonzero(way) == 1 and (end - start)[way > 0] > 0
+        np.testing.assert_allclose(start[way == 0], np.array(ends[side])[way == 0])
+        assert (start - np.array(ends[side]))[way > 0] > 0

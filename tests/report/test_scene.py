@@ -3,8 +3,17 @@ import os
 import numpy as np
 from matplotlib.colors import Normalize
 from matplotlib.text import Text
+from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.scene import draw_dots, frame_panel, new_axes, new_scene, number_points
+from calib.report.scene import (
+    draw_dots,
+    frame_panel,
+    new_axes,
+    new_scene,
+    number_points,
+    plot_coordinates,
+    view_directions,
+)
 
 
 def test_numbers_stay_inside_the_panel_and_off_the_points():
@@ -49,3 +58,22 @@ def test_numbers_at_one_place_cover_neither_each_other_nor_the_place():
     for k, box in enumerate(boxes):
         assert not any(box.contains(*place) for place in seen)
         assert not any(box.overlaps(other) for other in boxes[:k])
+
+
+def test_a_number_stays_off_a_large_mark():
+    """Small points stand closer all around but where the mark is: without its size the number would lie on it."""
+    figure = new_scene(4.0)
+    ax = new_axes(figure.add_subplot(projection="3d"))
+    turns = np.arange(12) * np.pi / 6.0
+    distance = np.where(turns == 0, 38.0, 30.0)  # points of the page
+    seen = distance[:, None] * np.column_stack([np.cos(turns), np.sin(turns)])
+    x, up, across = (seen @ view_directions()).T[[0, 2, 1]]
+    points = np.vstack([np.zeros(3), np.column_stack([x, up, -across]), [[-190.0, 0, 0], [190.0, 0, 0]]])
+    frame_panel(ax, points, "")
+    ax.apply_aspect()
+    at = ax.transData.transform(np.column_stack(proj_transform(*plot_coordinates(points).T, ax.get_proj())[:2]))
+    off = []
+    for radius in (0.0, 30.0):
+        number_points(ax, points, {0: 7}, np.where(np.arange(len(points)) == 1, radius, 0.0))
+        off.append(np.linalg.norm(at[0] + np.array(ax.texts[-1].xyann) * figure.dpi / 72.0 - at[1]) * 72.0 / figure.dpi)
+    assert off[0] + 10.0 < np.linalg.norm(at[1] - at[0]) * 72.0 / figure.dpi < off[1]  # towards the mark; away from it

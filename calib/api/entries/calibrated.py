@@ -26,7 +26,7 @@ _WHY = {
     "few_data": "too few data to see a model error",
     "wide": "std too large",
     "prior": "rests on the prior",
-    "limit": "on its limit",
+    "limit": "on its search limit",
     "constraint": "held by a constraint",
     "solutions": "differs between solutions",
 }

@@ -154,8 +154,9 @@ def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
     low, high = (with_unit(freq * (1 + side * _NEAR), "Hz", 3) for side in (-1, 1))
     return (
         f"{name[:1].upper()}{name[1:]} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with. "
-        f"What is added has {fixed(100 * float(own['share']), 0)} % of its kinetic energy; the rest of the model moves "
-        "too, which shifts the mode from the natural frequency of that part alone.",
+        f"The motion of the {name} relative to the structure has {fixed(100 * float(own['share']), 0)} % of the "
+        "kinetic energy of this mode. The structure moves too, so that the frequency of the mode is not the natural "
+        f"frequency of the {name} alone.",
         f"Look for a peak between {low} and {high} in the FRFs at the place, or excite there and measure it.",
     )
 

@@ -1,0 +1,46 @@
+"""How often 95 % intervals of magnitudes held the truth in computed tests; ``docs/error_rates.md`` has the counts."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib.missing.explanation import Explanation
+
+_MODAL = {"frequency", "damping", "shape"}
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Counted coverage of 95 % intervals of magnitudes.
+
+    Attributes
+    ----------
+    held, of : int
+        Intervals that held the true magnitude, of so many.
+    tests : str
+        What was counted, in words.
+    """
+
+    held: int
+    of: int
+    tests: str
+
+    @property
+    def percent(self) -> int:
+        """Share of intervals that held the truth, in whole percent."""
+        return round(100 * self.held / self.of)
+
+    @property
+    def sentence(self) -> str:
+        """How a stated interval is to be read."""
+        return f"Read 95 % as {self.percent} %: {self.held} of {self.of} such intervals held the truth in {self.tests}."
+
+
+MODES = Coverage(81, 95, "computed tests of bogies")
+"""Of modal tests, by `tests/benchmarks/rates.py`."""
+
+
+def coverage_sentence(found: Explanation) -> str:
+    """How the interval of a named magnitude is to be read; empty where nothing was counted for such data."""
+    kinds = set(found.base_adequacy.kinds["kind"])
+    return MODES.sentence if found.names_something and kinds and kinds <= _MODAL else ""
