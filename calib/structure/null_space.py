@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import scipy.linalg as la
@@ -12,6 +12,7 @@ from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.dof_table import DofTable
 from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.krylov import start_vector
 from calib.structure.rules import RULES
 
 _SHIFT, _MORE = 1e-13, 10.0
@@ -79,6 +80,29 @@ def common_null_space(stiffness: sp.csc_array, mass: sp.csc_array) -> tuple[np.n
     motions = np.linalg.solve(motions[rows].T, motions.T).T
     null = [_vanishes(stiffness, v) and _vanishes(mass, v) for v in motions.T]
     return rows[null], motions[:, null]
+
+
+def answers_with_null_motion(
+    solve: Callable[[np.ndarray], np.ndarray], stiffness: sp.csc_array, mass: sp.csc_array
+) -> bool:
+    """Whether a factor of both matrices answers a load by a motion with neither stiffness nor mass, but for rounding.
+
+    Such a motion vanishes from every pivot only up to rounding, so that the factor and the modes may be computed all
+    the same: frequencies are then right, and shapes hold the motion at random. Rigid-body motions have mass.
+
+    Parameters
+    ----------
+    solve : callable
+        Solves ``(K + s C + s^2 M) x = b`` of a small shift s for b (n_dof,).
+    stiffness, mass : csc_array (n_dof, n_dof)
+        Symmetric; SI.
+    """
+    with np.errstate(all="ignore"):
+        motion = solve(start_vector(stiffness.shape[0]))
+        size = float(np.abs(motion).max(initial=0.0))
+    if not np.isfinite(size):
+        return True
+    return size > 0 and _vanishes(stiffness, motion / size) and _vanishes(mass, motion / size)
 
 
 def _vanishing(scaled: sp.csc_array) -> np.ndarray:

@@ -16,7 +16,7 @@ from calib.structure.eigenproblem.eigenvalues import RotationalShare, damped_mod
 from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
 from calib.structure.eigenproblem.krylov import lowest_eigenpairs, start_vector
 from calib.structure.modes import Modes
-from calib.structure.null_space import common_null_space, motions_in_words
+from calib.structure.null_space import answers_with_null_motion, common_null_space, motions_in_words
 
 DENSE_LIMIT = 80
 """Up to this many degrees of freedom dense LAPACK is faster and more robust than Arnoldi iteration."""
@@ -69,8 +69,8 @@ def solve_modes(
     Raises
     ------
     EvaluationError
-        When matrices are not finite, the factor is singular, the iteration does not converge, or undamped modes are
-        known to be missing.
+        When matrices are not finite, the factor is singular, a motion has neither stiffness nor mass, the iteration
+        does not converge, or undamped modes are known to be missing.
     """
     for label, matrix in (("stiffness", stiffness), ("damping", damping), ("mass", mass)):
         if matrix is not None and not np.all(np.isfinite(matrix.data)):
@@ -84,12 +84,16 @@ def solve_modes(
             return _real_modes(stiffness, mass, count, shift, rotational_share)
         return _complex_modes(stiffness, damping, mass, count, shift, rotational_share)
     except (la.LinAlgError, spla.ArpackError, RuntimeError) as fault:
-        if null := len(common_null_space(stiffness, mass)[0]):
-            words = f"common null space: {motions_in_words(null)} with neither stiffness nor mass"
-            raise EvaluationError(words) from fault
+        _refuse_null_motions(stiffness, mass)
         if isinstance(fault, EvaluationError):
             raise
         raise EvaluationError(f"the eigenproblem could not be solved ({fault})") from fault
+
+
+def _refuse_null_motions(stiffness: sp.csc_array, mass: sp.csc_array) -> None:
+    if null := len(common_null_space(stiffness, mass)[0]):
+        words = f"common null space: {motions_in_words(null)} with neither stiffness nor mass"
+        raise EvaluationError(words)
 
 
 def _shift(stiffness: sp.csc_array, mass: sp.csc_array, rotational: np.ndarray | None = None) -> float:
@@ -133,6 +137,8 @@ def _real_modes(
             complete = True
         else:
             lu = symmetric_factor(sp.csc_array(stiffness + shift**2 * mass))
+            if answers_with_null_motion(lu.solve, stiffness, mass):
+                _refuse_null_motions(stiffness, mass)
             squares, shapes = spla.eigsh(
                 sp.csr_matrix(stiffness),
                 k=requested,
@@ -198,7 +204,10 @@ def _rounding(shape: np.ndarray, stiffness: sp.csc_array, mass: sp.csc_array) ->
 def _dense_real(stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> tuple[np.ndarray, np.ndarray]:
     """All modes of finite frequency; K and M are exchanged so that massless motions cause no infinite eigenvalues."""
     k, m = stiffness.toarray(), mass.toarray()
-    inverse, shapes = la.eigh(m, k + shift**2 * m)
+    shifted = k + shift**2 * m
+    if answers_with_null_motion(lambda load: np.linalg.solve(shifted, load), stiffness, mass):
+        _refuse_null_motions(stiffness, mass)
+    inverse, shapes = la.eigh(m, shifted)
     shapes = shapes[:, inverse > 1e-14 * inverse.max()]
     # Rigid-body modes make K + shift^2 M nearly singular: eigenvalues lose digits, Rayleigh quotients do not.
     return np.einsum("ij,ij->j", shapes, k @ shapes) / np.einsum("ij,ij->j", shapes, m @ shapes), shapes
@@ -217,6 +226,8 @@ def _complex_modes(
 ) -> Modes:
     n = stiffness.shape[0]
     lu = symmetric_factor(sp.csc_array(stiffness + shift * damping + shift**2 * mass))
+    if answers_with_null_motion(lu.solve, stiffness, mass):
+        _refuse_null_motions(stiffness, mass)
     speed = _typical_speed(lu, mass)
     # Motions without mass and damping follow the others statically and are not part of the state.
     carried = np.zeros(n, dtype=bool)
