@@ -57,7 +57,7 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         yield Reservation(pointed, "Look at what is mounted at either place and between them.")
     suspects = found.suspects[found.suspects["explains"].astype(bool)]
     if found.verdict == "effect" and len(suspects):
-        check = "Measure it again with another excitation, and compare its repeats."
+        check = f"Measure {suspects['what'].iloc[0]} again with another excitation, and compare its repeats."
         yield Reservation(
             suspect_sentence(suspects, found.chosen.names[0], found.odds_against_datum),
             "Check its mounting, cable and direction." if suspects["kind"].iloc[0] == "sensor" else check,

@@ -164,8 +164,8 @@ def suspects_table(
     return table.iloc[order].reset_index(drop=True)
 
 
-def suspect_in_short(table: pd.DataFrame, named: str, ln_odds: float = math.nan) -> str:
-    """The datum without which everything fits and the effect that is named all the same, for the summary.
+def suspect_in_short(table: pd.DataFrame, ln_odds: float = math.nan) -> str:
+    """The datum without which everything fits, beside an effect that is named all the same, for the summary.
 
     Empty where no datum alone explains the misfit; the odds are those of `suspect_sentence`.
     """
@@ -173,12 +173,12 @@ def suspect_in_short(table: pd.DataFrame, named: str, ln_odds: float = math.nan)
     if explaining.empty:
         return ""
     what = explaining["what"].iloc[0]
-    return f"{_beside(what, named, ln_odds)} Check {_the(what)} to be sure."
+    return f"{_beside(what, ln_odds)} Check {_the(what)} to be sure."
 
 
-def _beside(what: str, named: str, ln_odds: float, p: str = "") -> str:
+def _beside(what: str, ln_odds: float, p: str = "") -> str:
     odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
-    return f"A wrong measurement of {_the(what)} would explain the misfit too{p}, but the odds are {odds} for {named}."
+    return f"A wrong measurement of {_the(what)} would explain the misfit too{p}, but the odds are {odds} against that."
 
 
 def _the(what: str) -> str:
@@ -204,7 +204,7 @@ def suspect_sentence(table: pd.DataFrame, named: str = "", ln_odds: float = math
     others = f"; so it does without {' or without '.join(more)}" if more else ""
     if named:
         p = f" (without it p = {first['p_fit_without']:.2g}, {ESTIMATED})"
-        return _beside(first["what"], named, ln_odds, p)
+        return _beside(first["what"], ln_odds, p)
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "
         f"{first['p_fit_without']:.2g}, {ESTIMATED}; the chance of such a value in a correct model is "

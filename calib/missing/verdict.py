@@ -137,7 +137,7 @@ def verdict_of(
         sure.append(_OUTSIDE)
     if found.verdict == "effect" and found.chosen is not None:
         named, odds = found.chosen.names[0], found.odds_against_datum
-        sure.append(suspect_in_short(found.suspects, named, odds))
+        sure.append(suspect_in_short(found.suspects, odds))
         support.insert(0, suspect_sentence(found.suspects, named, odds))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")

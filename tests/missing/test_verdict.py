@@ -100,7 +100,7 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     words = suspect_sentence(asked.suspects, "E2", 5.0)
     assert "wrong measurement of the frequency of M2" in words and "150:1" in words
     assert words in text_of(asked) and "frequency of M2" not in text_of(found)
-    assert suspect_in_short(asked.suspects, "E2", 5.0) in text_of(asked)
+    assert suspect_in_short(asked.suspects, 5.0) in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
 
 

@@ -13,9 +13,12 @@ from calib.report.frf import OVERLAID
 from calib.report.html.cells import TextCells
 from calib.report.html.study_results import STAGES, StudyResults
 from calib.report.numbers import fixed, percent
+from calib.results.answer import in_prose
 
 _REDUCED = 0.1
 """Error of the reduction from which an orthogonality says nothing."""
+_LINE = 240
+"""Most letters about what moves in the modes at the head of the page."""
 
 
 def have_shapes(stages: Mapping[str, pd.DataFrame]) -> bool:
@@ -81,6 +84,33 @@ def worst_sensors(results: StudyResults) -> WorstSensors | None:
     worst = ", ".join(f"{s} {fixed(v, 3)}{' (hardly moves)' if s in still else ''}" for s, v in newest.head(3).items())
     words = f"Dots. The worst sensors, {results.in_words(stage)}: {worst}; the mean is {fixed(newest.mean(), 3)}."
     return WorstSensors(words, bool(still))
+
+
+def moving_most(results: StudyResults) -> dict[str, str]:
+    """What moves most in each measured mode, such as ``frame along y``: the part and direction with the largest rms.
+
+    Empty where the sensors name no parts, or no shapes were paired. A mode that no model mode pairs with is left out.
+    """
+    sensors, stages = results.sensors, [results.table(f"shapes_{stage}") for stage in reversed(STAGES)]
+    shapes = next((table for table in stages if table is not None), None)
+    if sensors is None or shapes is None or "part" not in sensors:
+        return {}
+    part = shapes["sensor"].map(dict(zip(sensors["sensor"], sensors["part"].fillna(""), strict=True))).fillna("")
+    if not part.any():
+        return {}
+    rows = shapes.assign(where=part + " along " + shapes["direction"], square=shapes["measured_re"] ** 2)
+    size = rows[part != ""].groupby(["mode", "where"], sort=False)["square"].mean().dropna()
+    largest = {str(mode): str(own.idxmax()[1]) for mode, own in size.groupby(level="mode", sort=False)}
+    return {mode: in_prose(where) for mode, where in largest.items()}
+
+
+def modes_in_words(results: StudyResults) -> str:
+    """What moves most in the modes, those of one kind together; empty for more than a line holds."""
+    kinds: dict[str, list[str]] = {}
+    for mode, where in moving_most(results).items():
+        kinds.setdefault(where, []).append(mode)
+    words = "; ".join(f"{', '.join(modes)}: {where}" for where, modes in kinds.items())
+    return words if len(words) <= _LINE else ""
 
 
 def is_all(results: StudyResults) -> bool:
