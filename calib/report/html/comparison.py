@@ -99,9 +99,9 @@ def moving_most(results: StudyResults) -> dict[str, str]:
     if not part.any():
         return {}
     rows = shapes.assign(where=part + " along " + shapes["direction"], square=shapes["measured_re"] ** 2)
-    size = rows[part != ""].groupby(["mode", "where"], sort=False)["square"].mean().dropna()
-    largest = {str(mode): str(own.idxmax()[1]) for mode, own in size.groupby(level="mode", sort=False)}
-    return {mode: in_prose(where) for mode, where in largest.items()}
+    size = rows[part != ""].groupby(["mode", "where"], sort=False)["square"].mean().dropna().reset_index()
+    largest = size.loc[size.groupby("mode", sort=False)["square"].idxmax()]
+    return {str(mode): in_prose(where) for mode, where in zip(largest["mode"], largest["where"], strict=True)}
 
 
 def modes_in_words(results: StudyResults) -> str:
