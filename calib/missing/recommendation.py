@@ -19,6 +19,10 @@ from calib.missing.rules import RULES
 
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""
+MANY = 5000
+"""Rows of the table of gains from which it keeps, of each effect, the `KEPT` best measurements: of hundreds of effects
+each has its own best sensors, and most rows are of no use for anything that is told or drawn."""
+KEPT = 10
 MEASURED = "measured as validation data so far"
 HELD_OUT = ", validation data so far"
 """End of the name of a measured mode, or of sensors, held out for verification."""
@@ -160,6 +164,13 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
     table["own"] = table["effect"] == competing.names[0]
     order = ["ln_bayes", "own", "gain"]
     return table.sort_values(order, ascending=False, ignore_index=True, kind="stable").drop(columns="own")
+
+
+def shortened(table: pd.DataFrame) -> pd.DataFrame:
+    """The table of `recommend` as stored: of more than `MANY` rows the `KEPT` best measurements of each effect."""
+    if len(table) <= MANY:
+        return table
+    return table[table.groupby("effect", sort=False).cumcount() < KEPT].reset_index(drop=True)
 
 
 def _in_words(bayes_factor: BayesFactor, pair: tuple[str, str]) -> str:

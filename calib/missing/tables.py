@@ -22,6 +22,8 @@ from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit
 from calib.problem.candidate import NOWHERE, Candidate
 
+CORRELATED = 60
+"""Effects between which correlations are tabled; the figure draws fewer."""
 UNTESTED = "not tested: the model fails with it"
 
 EFFECT_COLUMNS = (
@@ -155,10 +157,17 @@ def _names(found: Explanation) -> list[str]:
     return [name for group in found.groups for name in group.names]
 
 
-def confounding_table(found: Explanation) -> pd.DataFrame:
-    """Correlation of signatures after projection; first column ``effect``, then one column per effect."""
+def confounding_table(found: Explanation, effects: pd.DataFrame | None = None) -> pd.DataFrame:
+    """Correlation of signatures after projection; first column ``effect``, then one column per effect.
+
+    Of more than `CORRELATED` effects it has those with most evidence, ``ln_bayes`` of the table of `effects_table`.
+    """
     named = found.base_adequacy.named
     names = _names(found)
+    if effects is not None and len(names) > CORRELATED:
+        first = effects.sort_values("ln_bayes", ascending=False, kind="stable", na_position="last")["name"]
+        most = set(first.head(CORRELATED))
+        names = [name for name in names if name in most]
     matrix = correlation(named, [named.best(n) for n in names])
     table = pd.DataFrame(matrix, columns=names)
     table.insert(0, "effect", names)

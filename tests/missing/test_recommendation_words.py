@@ -3,12 +3,26 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pandas as pd
+import pytest
 
 from calib.hypotheses.design.imagined_measurement import _modes_in_words
 from calib.missing.competing import BayesFactor, at_effect
-from calib.missing.recommendation import AVERAGED, COLUMNS, HELD_OUT, USED, Interval, recommend, recommendation
+from calib.missing.recommendation import (
+    AVERAGED,
+    COLUMNS,
+    HELD_OUT,
+    KEPT,
+    MANY,
+    USED,
+    Interval,
+    recommend,
+    recommendation,
+    shortened,
+)
 from calib.missing.rules import RULES
+from calib.report.verification import best_candidates
 from tests.missing.measurement_designs import (
     SENSOR,
     TWICE,
@@ -89,6 +103,24 @@ def test_a_named_effect_that_no_measurement_narrows_is_said_to_need_none():
     none = "E0 needs no further measurement: none looked at raises its score 1.2 times."
     assert found.short == "To see further effects, measure next: B." and none in found.sentence
     assert recommendation(table_of(("A", "E0", 1.0)), None, [], ["E0"]).short == none
+
+
+@pytest.mark.parametrize("competing", [False, True])
+def test_a_shortened_table_draws_and_recommends_what_the_whole_one_does(competing):
+    rng, effects = np.random.default_rng(4), [f"E{k}" for k in range(60)]
+    rows = [(f"{k} sensors", e, float(1 + rng.random())) for k in range(100) for e in effects]
+    table = table_of(*rows)
+    if competing:
+        odds = table["measurement"].str.split(" ").str[0].astype(float)
+        table = table.assign(ln_bayes=odds, ln_bayes_low=odds, ln_bayes_high=odds, chance=0.9)
+        table = table.sort_values(["ln_bayes", "gain"], ascending=False, ignore_index=True)
+    short = shortened(table)
+    assert len(table) > MANY and len(short) == KEPT * len(effects)
+    pd.testing.assert_frame_equal(best_candidates(short), best_candidates(table))
+    pair = ("E1", "E2") if competing else None
+    assert recommendation(short, pair, effects) == recommendation(table, pair, effects)
+    assert recommendation(short, None, effects, ["E5"]) == recommendation(table, None, effects, ["E5"])
+    assert len(shortened(table.head(MANY))) == MANY
 
 
 def test_a_measurement_of_little_gain_is_not_recommended():

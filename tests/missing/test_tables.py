@@ -14,6 +14,7 @@ from calib.missing.linearised_fit import least_squares_fit
 from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.tables import (
+    CORRELATED,
     EFFECT_COLUMNS,
     UNTESTED,
     candidate_fits_table,
@@ -24,6 +25,7 @@ from calib.missing.tables import (
     misfit_table,
     pull_table,
 )
+from calib.report.explanation import MOST
 
 
 def found_in(toy, truth, seed=1):
@@ -260,6 +262,16 @@ def test_the_correlation_of_signatures_is_that_after_projection(one):
 
     u, v = projected("E0"), projected("E3")
     assert table.loc["E0", "E3"] == pytest.approx(u @ v / np.linalg.norm(u) / np.linalg.norm(v), abs=1e-9)
+
+
+def test_of_hundreds_of_effects_those_with_most_evidence_are_correlated(toy):
+    _, found = found_in(toy(effects=CORRELATED + 5), {"E3": 1.0})
+    effects = table_of(found)
+    table = confounding_table(found, effects)
+    assert table.shape == (CORRELATED, CORRELATED + 1) and list(table.columns[1:]) == list(table["effect"])
+    least = effects.set_index("name")["ln_bayes"].nsmallest(5)
+    assert set(effects["name"]) - set(table["effect"]) == set(least.index)
+    assert "E3" in set(table["effect"]) and MOST < CORRELATED
 
 
 def test_collinear_effects_are_confounded_with_each_other(toy):
