@@ -1,4 +1,4 @@
-"""Coordinates of nodes from a table or a deck: *NODE of Abaqus and CalculiX, GRID of Nastran, NBLOCK of ANSYS."""
+"""Coordinates of nodes from a table, a mesh or a deck: *NODE of Abaqus and CalculiX, GRID of Nastran, NBLOCK of ANSYS."""
 
 from __future__ import annotations
 
@@ -6,7 +6,12 @@ import re
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
+
 from calib.errors.errors import InputError
+from calib.imports.keywords import deck_text, is_keyword, keyword_blocks, value_of
+from calib.imports.meshes import MESHES, read_mesh
+from calib.imports.systems import placed_nodes
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.places import Point
 
@@ -21,24 +26,27 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
     ----------
     file : Path
         Table ``node, x, y, z`` in m (.csv); or a deck with ``*NODE`` (.inp), ``GRID`` (.bdf, .dat, .nas, .pch) or
-        ``NBLOCK`` (.cdb).
+        ``NBLOCK`` (.cdb), with the files that it includes; or a mesh (.unv, .msh).
     metres : float
         Per unit of length of a deck, which does not state it.
 
     Raises
     ------
     InputError
-        For another kind of file, one without nodes, and a node in a local system, whose place is not known from it
-        alone.
+        For another kind of file, one without nodes or of several part instances, and a node whose place is not known
+        from the file alone.
     """
     if not file.is_file():
         raise InputError("there is no such file", place=file, remedy="check the path")
     suffix = file.suffix.lower()
     if suffix == ".csv":
         return {node: place for node, (place, _) in read_sensor_table(file).items()}
+    if suffix in MESHES:
+        return dict(read_mesh(file, metres).points)
     if suffix not in DECKS:
-        raise InputError(f"unknown kind of file {suffix!r}", place=file, remedy=f"give .csv, {', '.join(DECKS)}")
-    lines = file.read_text("latin-1").splitlines()
+        remedy = f"give .csv, {', '.join((*DECKS, *MESHES))}"
+        raise InputError(f"unknown kind of file {suffix!r}", place=file, remedy=remedy)
+    lines = deck_text(file).splitlines()
     is_abaqus = any(line.upper().lstrip().startswith("*NODE") for line in lines)
     is_ansys = any(line.upper().startswith("NBLOCK") for line in lines)
     out: dict[int, Point] = {}
@@ -54,23 +62,56 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
 
 
 def _abaqus(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
-    """Nodes below ``*NODE``; those of other blocks, such as ``*NODE FILE``, are requests of output."""
-    inside = False
-    for line in lines:
-        if line.startswith("**"):
+    """Nodes below ``*NODE``; those of other blocks, such as ``*NODE FILE``, are requests of output.
+
+    Of a deck of parts the nodes of its one instance are taken, at the place of the instance.
+    """
+    blocks = list(keyword_blocks(lines))
+    instances = [(key, data) for key, data in blocks if is_keyword(key, "*INSTANCE")]
+    if len(instances) > 1:
+        raise InputError(
+            f"it has {len(instances)} part instances, each with node numbers of its own", place=file,
+            remedy="write a deck without parts, in which each number is there once, or give a table node, x, y, z",
+        )  # fmt: skip
+    made = next((key for key, _ in blocks if is_keyword(key, "*NGEN", "*NFILL", "*NCOPY", "*NMAP")), "")
+    if made:
+        raise InputError(f"{made.split(',')[0]} makes or moves nodes, which is not read", place=file,
+                         remedy="give a table node, x, y, z, or the deck with all nodes under *NODE")  # fmt: skip
+    key, data = instances[0] if instances else ("", [])
+    of_part, turn, offset, within = value_of(key, "PART"), *_instance(data), ""
+    for key, data in blocks:
+        if is_keyword(key, "*PART"):
+            within = value_of(key, "NAME")
+        within = "" if is_keyword(key, "*ENDPART") else "instance" if is_keyword(key, "*INSTANCE") else within
+        within = "" if is_keyword(key, "*ENDINSTANCE") else within
+        if key.startswith("*SYSTEM") and data:
+            raise _local(file, "*SYSTEM")
+        if not is_keyword(key, "*NODE") or (within not in ("", "instance", of_part)):
             continue
-        if line.lstrip().startswith("*"):
-            key = line.upper().replace(" ", "")
-            inside = key == "*NODE" or key.startswith("*NODE,")
-            if inside and "SYSTEM=" in key and "SYSTEM=R" not in key:
-                raise _local(file, "*NODE with SYSTEM")
-            if key.startswith("*SYSTEM") and key != "*SYSTEM":
-                raise _local(file, "*SYSTEM")
-            continue
-        if inside and line.strip():
+        if "SYSTEM=" in key and "SYSTEM=R" not in key:
+            raise _local(file, "*NODE with SYSTEM")
+        for line in data:
             parts = [part.strip() for part in line.split(",")]
-            x, y, z = ([float(part) if part else 0.0 for part in parts[1:4]] + [0.0] * 3)[:3]
+            place = np.array(([float(part) if part else 0.0 for part in parts[1:4]] + [0.0] * 3)[:3])
+            x, y, z = (turn @ place + offset if within else place).tolist()
             yield int(parts[0]), (x, y, z)
+
+
+def _instance(data: list[str]) -> tuple[np.ndarray, np.ndarray]:
+    """Rotation (3, 3) and offset (3,) of a part instance.
+
+    Its first line is a translation, its second two points and the angle in degrees by which it then turns about their
+    axis (Abaqus, keyword *INSTANCE).
+    """
+    rows = [[float(part) for part in line.split(",") if part.strip()] for line in data if re.match(r"[-+.\d]", line)]
+    moved = np.array(rows[0][:3]) if rows else np.zeros(3)
+    if len(rows) < 2:
+        return np.eye(3), moved
+    a, b, angle = np.array(rows[1][:3]), np.array(rows[1][3:6]), np.radians(rows[1][6])
+    x, y, z = (b - a) / np.linalg.norm(b - a)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    turn = np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+    return turn, turn @ (moved - a) + a
 
 
 def _ansys(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
@@ -97,52 +138,13 @@ def _ansys(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
 
 
 def _nastran(file: Path, lines: list[str]) -> Iterator[tuple[int, Point]]:
-    """Nodes of ``GRID`` entries."""
-    for name, fields in bulk_entries("\n".join(lines)):
-        if name != "GRID":
-            continue
-        fields += [""] * 5
-        if fields[1] not in ("", "0"):
-            raise _local(file, f"GRID {fields[0]}")
-        x, y, z = (real(part) for part in fields[2:5])
-        yield int(fields[0]), (x, y, z)
-
-
-def bulk_entries(text: str) -> Iterator[tuple[str, list[str]]]:
-    """Name and fields of each entry of Nastran's bulk data with its continuations: narrow, wide or between commas.
-
-    Fields are those from the second on, all that the lines have room for.
-    """
-    entry: list[str] = []
-    name = ""
-    for line in text.splitlines():
-        bare = line.split("$", 1)[0].rstrip()
-        if not bare:
-            continue
-        if not re.match(r"[A-Za-z]", bare):
-            if name and bare[0] in "+*, ":
-                entry += fields_of(bare)
-            continue
-        if name:
-            yield name, entry
-        name, entry = re.split(r"[\s,*]", bare.upper(), maxsplit=1)[0][:8], fields_of(bare)
-    if name:
-        yield name, entry
-
-
-def fields_of(line: str) -> list[str]:
-    """Fields of a line without the first one, all that the format has room for."""
-    if "," in line:
-        fields = [part.strip() for part in line.split(",")][1:9]
-        return fields + [""] * (8 - len(fields))
-    width, count = (16, 4) if "*" in line[:8] else (8, 8)
-    return [line[8 + k * width : 8 + (k + 1) * width].strip() for k in range(count)]
-
-
-def real(text: str) -> float:
-    """A number of Nastran, whose exponent may lack its letter: ``1.5-3``."""
-    plain = re.sub(r"(?<=[\d.])([-+]\d+)$", r"E\1", text.upper().replace("D", "E")) if "E" not in text.upper() else text
-    return float(plain) if plain else 0.0
+    """Nodes of ``GRID`` entries in basic axes, whatever the system in which they are placed."""
+    places, unknown = placed_nodes("\n".join(lines))
+    for node, number in unknown.items():
+        raise InputError(f"GRID {node} is placed in system {number}, which it does not define", place=file,
+                         remedy="give the deck that does, or a table node, x, y, z")  # fmt: skip
+    for node, (x, y, z) in places.items():
+        yield node, (float(x), float(y), float(z))
 
 
 def _local(file: Path, what: str) -> InputError:

@@ -6,35 +6,44 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
-from calib.imports.coordinates import bulk_entries
+from calib.imports.bulk import bulk_entries
+from calib.imports.keywords import fields_between, is_keyword, keyword_blocks, value_of
 
 Edge = tuple[int, int]
 
-_LINE = ((0, 1),)
-_LINE_3 = ((0, 1), (1, 2))
-_RING_3, _RING_4 = ((0, 1), (1, 2), (2, 0)), ((0, 1), (1, 2), (2, 3), (3, 0))
-_TETRA = (*_RING_3, (0, 3), (1, 3), (2, 3))
-_WEDGE = (*_RING_3, (3, 4), (4, 5), (5, 3), (0, 3), (1, 4), (2, 5))
-_BRICK = (*_RING_4, (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7))
+LINE: Sequence[Edge] = ((0, 1),)
+LINE_3: Sequence[Edge] = ((0, 1), (1, 2))
+LINE_3_LAST: Sequence[Edge] = ((0, 2), (2, 1))
 
-_SOLIDS: Mapping[int, Sequence[Edge]] = {4: _TETRA, 10: _TETRA, 6: _WEDGE, 15: _WEDGE, 8: _BRICK, 20: _BRICK}
-"""Edges between the corners of solids by the number of their nodes."""
-_AREAS: Mapping[int, Sequence[Edge]] = {3: _RING_3, 6: _RING_3, 4: _RING_4, 8: _RING_4, 9: _RING_4}
-_LINES: Mapping[int, Sequence[Edge]] = {2: _LINE, 3: _LINE_3}
+
+def ring(*corners: int) -> tuple[Edge, ...]:
+    """Edges around an area."""
+    return tuple(zip(corners, (*corners[1:], corners[0]), strict=True))
+
+
+_RING_3, _RING_4 = ring(0, 1, 2), ring(0, 1, 2, 3)
+_TETRA = (*_RING_3, (0, 3), (1, 3), (2, 3))
+_WEDGE = (*_RING_3, *ring(3, 4, 5), (0, 3), (1, 4), (2, 5))
+_BRICK = (*_RING_4, *ring(4, 5, 6, 7), (0, 4), (1, 5), (2, 6), (3, 7))
+
+SOLIDS: Mapping[int, Sequence[Edge]] = {4: _TETRA, 10: _TETRA, 6: _WEDGE, 15: _WEDGE, 8: _BRICK, 20: _BRICK}
+"""Edges between the corners of solids by the number of their nodes; corners come first."""
+AREAS: Mapping[int, Sequence[Edge]] = {3: _RING_3, 6: _RING_3, 4: _RING_4, 8: _RING_4, 9: _RING_4}
+"""Edges of shells likewise."""
+_LINES: Mapping[int, Sequence[Edge]] = {2: LINE, 3: LINE_3}
 _KEYS: Mapping[str, tuple[int, int, int, Mapping[int, Sequence[Edge]]]] = {
     **dict.fromkeys(("CBAR", "CBEAM", "CROD", "CTUBE"), (2, 2, 2, _LINES)),
-    "CTRIA3": (2, 3, 3, _AREAS), "CTRIA6": (2, 3, 6, _AREAS), "CQUAD4": (2, 4, 4, _AREAS), "CQUAD8": (2, 4, 8, _AREAS),
-    "CTETRA": (2, 4, 10, _SOLIDS), "CPENTA": (2, 6, 15, _SOLIDS), "CHEXA": (2, 8, 20, _SOLIDS),
+    "CTRIA3": (2, 3, 3, AREAS), "CTRIA6": (2, 3, 6, AREAS), "CQUAD4": (2, 4, 4, AREAS), "CQUAD8": (2, 4, 8, AREAS),
+    "CTETRA": (2, 4, 10, SOLIDS), "CPENTA": (2, 6, 15, SOLIDS), "CHEXA": (2, 8, 20, SOLIDS),
 }  # fmt: skip
 """Of entries of Nastran: the first field with a node, the number of corners and of nodes at most, and the edges."""
-_LINE_3_LAST = ((0, 2), (2, 1))
-_ORIENTED: Mapping[int, Sequence[Edge]] = {2: _LINE, 3: _LINE}
+_ORIENTED: Mapping[int, Sequence[Edge]] = {2: LINE, 3: LINE}
 _BLOCKS = "EBLOCK"
 """Elements in the database that ANSYS's CDWRITE writes."""
 _TYPES: Mapping[str, Mapping[int, Sequence[Edge]]] = {
-    **dict.fromkeys(("4", "8", "180", "188"), _ORIENTED), "189": {3: _LINE_3_LAST, 4: _LINE_3_LAST},
-    **dict.fromkeys(("63", "93", "181", "281"), _AREAS),
-    **dict.fromkeys(("45", "92", "95", "185", "186", "187", "190", "285"), _SOLIDS),
+    **dict.fromkeys(("4", "8", "180", "188"), _ORIENTED), "189": {3: LINE_3_LAST, 4: LINE_3_LAST},
+    **dict.fromkeys(("63", "93", "181", "281"), AREAS),
+    **dict.fromkeys(("45", "92", "95", "185", "186", "187", "190", "285"), SOLIDS),
 }  # fmt: skip
 """Edges by the number of nodes of types of ANSYS; the third node of a beam orients it."""
 
@@ -68,7 +77,12 @@ def element_edges(text: str) -> list[Edge]:
 
     Midside nodes of beams are their nodes, those of shells and solids are passed over.
     """
-    pairs = ((one.nodes[i], one.nodes[j]) for one in elements(text) for i, j in one.edges)
+    return edges_of(elements(text))
+
+
+def edges_of(found: Iterable[Element]) -> list[Edge]:
+    """As `element_edges`, of elements that were read."""
+    pairs = ((one.nodes[i], one.nodes[j]) for one in found for i, j in one.edges)
     return list(dict.fromkeys((min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]))
 
 
@@ -77,16 +91,21 @@ def element_sets(text: str) -> dict[str, set[int]]:
 
     Sets of the same elements under another name, such as that of all elements, stay apart.
     """
-    found: dict[str, set[int]] = {}
-    of_element: dict[int, tuple[int, ...]] = {}
+    every, lines = list(elements(text)), text.splitlines()
     members: dict[str, set[int]] = {}
-    for one in elements(text):
-        of_element[one.number] = one.nodes
+    for one in every:
+        if one.group:
+            members.setdefault(one.group, set()).add(one.number)
+    return sets_of(every, _components(lines) if _BLOCKS in text else _named_sets(lines, "*ELSET", members))
+
+
+def sets_of(every: Sequence[Element], listed: Mapping[str, set[int]]) -> dict[str, set[int]]:
+    """Nodes of the elements of each set: that which an element names itself, and those that list elements."""
+    found: dict[str, set[int]] = {}
+    of_element = {one.number: one.nodes for one in every}
+    for one in every:
         if one.group:
             found.setdefault(one.group, set()).update(one.nodes)
-            members.setdefault(one.group, set()).add(one.number)
-    lines = text.splitlines()
-    listed = _components(lines) if _BLOCKS in text else _named_sets(lines, "*ELSET", members)
     for name, numbers in listed.items():
         nodes = {node for number in numbers for node in of_element.get(number, ())}
         if nodes:
@@ -94,29 +113,10 @@ def element_sets(text: str) -> dict[str, set[int]]:
     return found
 
 
-def _keywords(lines: Iterable[str]) -> Iterator[tuple[str, list[str]]]:
-    """Keyword lines of Abaqus, in capitals and without blanks, each with its lines of data; comments are left out."""
-    key, data = "", list[str]()
-    for line in lines:
-        bare = line.strip()
-        if bare.startswith("*") and not bare.startswith("**"):
-            yield key, data
-            key, data = bare.upper().replace(" ", ""), []
-        elif bare and not bare.startswith("**"):
-            data.append(bare)
-    yield key, data
-
-
-def _value_of(key: str, option: str) -> str:
-    """What a keyword line states for an option; empty without it."""
-    match = re.search(f"{option}=([^,]+)", key)
-    return "" if match is None else match[1].strip('"')
-
-
 def _abaqus(lines: Iterable[str]) -> Iterator[Element]:
-    for key, data in _keywords(lines):
+    for key, data in keyword_blocks(lines):
         edges = _of_type(key) if key.startswith("*ELEMENT,") else {}
-        group, pending = _value_of(key, "ELSET"), list[int]()
+        group, pending = value_of(key, "ELSET"), list[int]()
         for line in data if edges else ():
             pending += map(int, re.findall(r"-?\d+", line))
             if line.endswith(","):
@@ -131,9 +131,9 @@ def _of_type(key: str) -> Mapping[int, Sequence[Edge]]:
     match = re.search(r"TYPE=([A-Z]+\d?[A-Z]?)", key)
     kind = "" if match is None else match[1]
     if kind.startswith("C3D"):
-        return _SOLIDS
+        return SOLIDS
     if re.match(r"(S|SC|STRI|CPS|CPE|CAX|M3D)\d", kind) or kind.startswith("STRI"):
-        return _AREAS
+        return AREAS
     return _LINES if re.match(r"(B|PIPE|T)\d|T3D", kind) else {}
 
 
@@ -198,10 +198,10 @@ def _components(lines: Sequence[str]) -> dict[str, set[int]]:
 
 def _named_sets(lines: Iterable[str], keyword: str, sets: dict[str, set[int]]) -> dict[str, set[int]]:
     """Sets of Abaqus that ``*NSET`` or ``*ELSET`` list by number, range or name; ``sets`` are those known before."""
-    for key, data in _keywords(lines):
-        name = _value_of(key, keyword[1:]) if key.startswith(f"{keyword},") else ""
+    for key, data in keyword_blocks(lines):
+        name = value_of(key, keyword[1:]) if key.startswith(f"{keyword},") else ""
         for line in data if name else ():
-            fields, own = [field for field in _fields(line) if field], sets.setdefault(name, set())
+            fields, own = [field for field in fields_between(line) if field], sets.setdefault(name, set())
             if "GENERATE" in key:
                 first, last, step = (*map(int, fields[:3]), 1)[:3]
                 own |= set(range(first, last + 1, step))
@@ -210,23 +210,35 @@ def _named_sets(lines: Iterable[str], keyword: str, sets: dict[str, set[int]]) -
     return sets
 
 
-def _fields(line: str) -> list[str]:
-    """What stands between the commas of a line of data, in capitals; empty where nothing does."""
-    return [field.strip().upper() for field in line.split(",")]
+def _node_sets(text: str) -> dict[str, set[int]]:
+    """Sets of nodes that ``*NODE`` and ``*NSET`` of a deck of Abaqus or CalculiX name."""
+    lines, sets = text.splitlines(), dict[str, set[int]]()
+    for key, data in keyword_blocks(lines):
+        if key.startswith("*NODE,") and (name := value_of(key, "NSET")):
+            sets.setdefault(name, set()).update(int(line.split(",")[0]) for line in data)
+    return _named_sets(lines, "*NSET", sets)
+
+
+def transformed_nodes(text: str) -> set[int]:
+    """Nodes to which ``*TRANSFORM`` of a deck of Abaqus or CalculiX gives directions of their own."""
+    keys = [key for key, _ in keyword_blocks(text.splitlines()) if is_keyword(key, "*TRANSFORM")]
+    sets = _node_sets(text) if keys else {}
+    return {node for key in keys for node in sets.get(value_of(key, "NSET"), ())}
 
 
 def held_motions(text: str) -> set[tuple[int, int]]:
-    """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds."""
-    lines, sets = text.splitlines(), dict[str, set[int]]()
-    for key, data in _keywords(lines):
-        if key.startswith("*NODE,") and (name := _value_of(key, "NSET")):
-            sets.setdefault(name, set()).update(int(line.split(",")[0]) for line in data)
-    sets = _named_sets(lines, "*NSET", sets)
+    """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds.
+
+    Of a node with directions of its own (``*TRANSFORM``) three translations, or rotations, are told only where it holds
+    all three.
+    """
+    sets, own_axes = _node_sets(text), transformed_nodes(text)
     held: set[tuple[int, int]] = set()
-    for key, data in _keywords(lines):
-        for fields in map(_fields, data if key.startswith("*BOUNDARY") else ()):
+    for key, data in keyword_blocks(text.splitlines()):
+        for fields in map(fields_between, data if is_keyword(key, "*BOUNDARY") else ()):
             if len(fields) > 1 and fields[1].isdigit():
                 nodes = {int(fields[0])} if fields[0].isdigit() else sets.get(fields[0], set())
                 last = int(fields[2]) if len(fields) > 2 and fields[2].isdigit() else int(fields[1])
                 held |= {(node, d) for node in nodes for d in range(int(fields[1]), last + 1)}
-    return held
+    parts = {(node, first): [(node, d) for d in range(first, first + 3)] for node in own_axes for first in (1, 4)}
+    return held - {one for own in parts.values() if not held.issuperset(own) for one in own}

@@ -16,8 +16,10 @@ from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
 from calib.imports.dof_file import read_dofs, table_of
-from calib.imports.elements import element_edges, element_sets, held_motions
+from calib.imports.elements import edges_of, element_edges, element_sets, held_motions, sets_of, transformed_nodes
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
+from calib.imports.keywords import deck_text, with_included
+from calib.imports.meshes import MESHES, has_elements, read_mesh
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
@@ -102,7 +104,7 @@ def read_matrices(
     is_calculix, bulk, rows = False, dict[Path, str](), None
     for file in given:
         raw = _bytes(file)
-        text = "" if b"\0" in raw[:2000] else raw.decode("latin-1")
+        text = "" if b"\0" in raw[:2000] else with_included(file, raw.decode("latin-1"))
         lines = text.splitlines()
         if is_bulk(text):
             bulk[file] = text
@@ -116,7 +118,7 @@ def read_matrices(
         elif file.suffix.lower() == ".dof" or (text and is_mapping(lines)):
             dofs = file if dofs is None else dofs
             is_calculix |= file.suffix.lower() == ".dof"
-        elif file.suffix.lower() in DECKS or file in bulk:
+        elif file.suffix.lower() in DECKS or file in bulk or _is_mesh(file):
             coordinates = file if coordinates is None else coordinates
         else:
             found, told = _stored(file, raw, text, lines)
@@ -153,6 +155,12 @@ def read_matrices(
         listed = ", ".join(f"{name} ({len(nodes)} nodes)" for name, nodes in sets.items())
         told = (*told, f"Element sets, for figures and for the strain energy of modes: {listed}.")
     return ReadMatrices(matrices, table, "mean" if is_calculix and named_twice else None, edges, sets, notes + told)
+
+
+def _is_mesh(file: Path) -> bool:
+    """Whether a file is a mesh rather than measured modes, which universal files hold too."""
+    suffix = file.suffix.lower()
+    return suffix in MESHES and (suffix not in UFF_SUFFIXES or has_elements(file))
 
 
 def _bytes(file: Path) -> bytes:
@@ -331,7 +339,7 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
 
 def _without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """The table without the names of rows that move a supported node: the stretch of a shell's thickness there."""
-    held = held_motions(file.read_text("latin-1")) if file.suffix.lower() != ".csv" else set()
+    held = held_motions(deck_text(file)) if file.suffix.lower() in DECKS else set()
     if not held:
         return table, ()
     rows = np.array([pair in held for pair in zip(table["node"], table["direction"], strict=True)])
@@ -347,9 +355,15 @@ def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[tuple[int, int
     """Edges and sets of the elements of a deck between nodes that have rows; no edges without coordinates."""
     if file is None or file.suffix.lower() == ".csv":
         return (), {}
-    text, nodes = file.read_text("latin-1"), set(table["node"].dropna().astype(int))
-    sets = {name: tuple(sorted(own & nodes)) for name, own in element_sets(text).items()}
-    edges = tuple(edge for edge in element_edges(text) if nodes.issuperset(edge)) if "x" in table else ()
+    nodes = set(table["node"].dropna().astype(int))
+    if file.suffix.lower() in MESHES:
+        mesh = read_mesh(file)
+        of_sets, all_edges = sets_of(mesh.elements, mesh.groups), edges_of(mesh.elements)
+    else:
+        text = deck_text(file)
+        of_sets, all_edges = element_sets(text), element_edges(text)
+    sets = {name: tuple(sorted(own & nodes)) for name, own in of_sets.items()}
+    edges = tuple(edge for edge in all_edges if nodes.issuperset(edge)) if "x" in table else ()
     return edges, {name: own for name, own in sets.items() if own}
 
 

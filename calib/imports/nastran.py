@@ -11,7 +11,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.imports.coordinates import fields_of, real
+from calib.imports.bulk import fields_of, real
 from calib.imports.stored import Stored, named
 
 _SYMMETRIC, _SQUARE = 6, 1

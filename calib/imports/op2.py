@@ -13,15 +13,17 @@ from calib.errors.errors import InputError
 from calib.imports.frd import Found
 from calib.imports.op4 import StoredStrings, taken
 from calib.imports.stored import Stored
-from calib.imports.systems import Systems, axes_in
+from calib.imports.systems import Defined, Systems, axes_in
 from calib.measurement.places import Point
 
 _WORDS = (4, 8)
 """Bytes of a word."""
 _EIGENVECTORS, _REAL_MODES, _REAL = 7, 2, 1
 """Of the head of a table of displacements: what it holds, of which analysis, and real numbers."""
-_GRID, _RECTANGULAR = (4501, 45), (2101, 21)
-"""Keys of records of the geometry: nodes, and systems of CORD2R."""
+_GRID = (4501, 45)
+"""Key of records of nodes in the geometry."""
+_SYSTEMS = {(2101, 21): 0, (2001, 20): 1, (2201, 22): 2}
+"""Keys of records of CORD2R, CORD2C and CORD2S, and their kinds."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +105,7 @@ def read_op2(file: Path) -> Found:
     """Frequencies, displacements in basic axes and places of nodes; see `calib.imports.fe_modes.read_fe_modes`.
 
     Of several sets of modes the one with most nodes is taken; parts of one set, as superelements write them, are
-    joined. Nodes that move in a cylindrical or spherical system are left out.
+    joined. Nodes that move in a system that the file does not define are left out.
 
     Raises
     ------
@@ -125,10 +127,10 @@ def read_op2(file: Path) -> Found:
     if len(sets) > 1:
         notes.append(f"{file.name} holds {len(sets)} sets of modes, of which that with most nodes ({len(nodes)}) "
                      "is taken.")  # fmt: skip
-    axes, unknown = axes_in(systems, {node: own_axes.get(node, "0") for node in nodes})
+    axes, unknown = axes_in(systems, {node: own_axes.get(node, "0") for node in nodes}, points)
     lost = set(unknown)
     if lost:
-        notes.append(f"{len(lost)} nodes, such as {min(lost)}, move in cylindrical or other axes of their own and were "
+        notes.append(f"{len(lost)} nodes, such as {min(lost)}, move in axes that the file does not define and were "
                      "left out.")  # fmt: skip
     motions: dict[tuple[int, int], np.ndarray] = {}
     for node, own in nodes.items():
@@ -157,7 +159,7 @@ def _modes(block: _Block) -> Iterator[tuple[tuple[float, ...], dict[int, np.ndar
 
 
 def _geometry(blocks: list[_Block]) -> tuple[dict[int, Point], dict[int, str], Systems]:
-    """Places of nodes in basic axes, the system in which each moves, and the systems of CORD2R.
+    """Places of nodes in basic axes, the system in which each moves, and the systems of CORD2R, CORD2C and CORD2S.
 
     Source of places: BGPDT, in basic axes, whose order EQEXIN names; GRID in basic axes where there is none.
     """
@@ -174,8 +176,9 @@ def _geometry(blocks: list[_Block]) -> tuple[dict[int, Point], dict[int, str], S
                     moves[int(body[k])] = str(body[k + 5])
                     if body[k + 1] == 0:
                         points[int(body[k])] = _point(real[k + 2 : k + 5])
-            for k in range(0, len(body) - 12, 13) if key == _RECTANGULAR else ():
-                systems[str(body[k])] = str(body[k + 3]), np.array(real[k + 4 : k + 13], dtype=float).reshape(3, 3)
+            for k in range(0, len(body) - 12, 13) if key in _SYSTEMS else ():
+                abc = np.array(real[k + 4 : k + 13], dtype=float).reshape(3, 3)
+                systems[str(body[k])] = Defined(_SYSTEMS[key], str(body[k + 3]), abc)
     for places in (block for block in blocks if block.name.startswith("BGPDT")):
         rows = places.integers(places.tables()[0])
         for names in (block for block in blocks if block.name.startswith("EQEXIN")):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -11,69 +12,136 @@ import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.imports.coordinates import bulk_entries, real
+from calib.imports.bulk import Grid, bulk_entries, grids, real
+from calib.measurement.files.uff_nodes import CoordinateSystem
+from calib.measurement.places import Point
 
-Systems = dict[str, tuple[str, np.ndarray]]
-"""Systems of CORD2R by their number: that of the reference, and the points A, B and C, (3, 3)."""
+@dataclass(frozen=True, eq=False)
+class Defined:
+    """A system as it is defined: 0 Cartesian, 1 cylindrical, 2 spherical, and its points A, B and C, (3, 3).
+
+    The points are in the system ``reference``; where ``nodes`` names three nodes, these are the points.
+    """
+
+    kind: int
+    reference: str
+    points: np.ndarray
+    nodes: tuple[int, ...] = ()
+
+
+Systems = dict[str, Defined]
+"""Systems by their number."""
+_KINDS = {"R": 0, "C": 1, "S": 2}
+_BASIC = CoordinateSystem(0, np.eye(3), np.zeros(3))
+
+
+def defined_systems(text: str) -> Systems:
+    """Systems of CORD1R, CORD1C, CORD1S, CORD2R, CORD2C and CORD2S."""
+    found: Systems = {}
+    for name, fields in bulk_entries(text):
+        kind = _KINDS.get(name[5:], -1) if re.match(r"CORD[12]", name) else -1
+        if kind >= 0 and name[4] == "2" and len(fields) >= 11:
+            points = np.array([real(part) for part in fields[2:11]]).reshape(3, 3)
+            found[fields[0]] = Defined(kind, fields[1] or "0", points)
+        for k in (0, 4) if kind >= 0 and name[4] == "1" else ():
+            if len(fields) > k + 3 and fields[k]:
+                a, b, c = (int(one) for one in fields[k + 1 : k + 4])
+                found[fields[k]] = Defined(kind, "0", np.zeros((3, 3)), (a, b, c))
+    return found
+
+
+class _Frames:
+    """Systems in basic axes, found from their definitions when they are needed; LookupError for one that is not known.
+
+    Source: a system is given by its origin A, a point B on its z axis and a point C in its xz plane.
+    """
+
+    def __init__(self, systems: Systems, nodes: Mapping[int, Grid]):
+        self.systems, self.nodes = systems, nodes
+        self.found: dict[str, CoordinateSystem] = {"0": _BASIC}
+        self.pending: list[str] = []
+
+    def frame(self, number: str) -> CoordinateSystem:
+        if number not in self.found:
+            if number not in self.systems or number in self.pending:
+                raise LookupError(number)
+            self.pending.append(number)
+            own = self.systems[number]
+            if own.nodes:
+                a, b, c = (self.place(node, number) for node in own.nodes)
+            else:
+                reference = self.frame(own.reference)
+                a, b, c = (reference.place(one) for one in own.points)
+            z = (b - a) / np.linalg.norm(b - a)
+            y = np.cross(z, c - a)
+            y /= np.linalg.norm(y)
+            self.found[number] = CoordinateSystem(own.kind, np.array([np.cross(y, z), y, z]), a)
+        return self.found[number]
+
+    def place(self, node: int, number: str = "") -> np.ndarray:
+        """Place of a node in basic axes, (3,)."""
+        if node not in self.nodes:
+            raise LookupError(number or str(node))
+        return self.frame(self.nodes[node].placed).place(self.nodes[node].entry)
+
+
+def placed_nodes(text: str) -> tuple[dict[int, np.ndarray], dict[int, str]]:
+    """Places (3,) of the nodes of bulk data in basic axes, and of other nodes the system that is not known."""
+    nodes = grids(text)
+    frames = _Frames(defined_systems(text), nodes)
+    places: dict[int, np.ndarray] = {}
+    unknown: dict[int, str] = {}
+    for node in nodes:
+        try:
+            places[node] = frames.place(node)
+        except LookupError as fault:
+            unknown[node] = str(fault.args[0])
+    return places, unknown
 
 
 def axes_of(file: Path, text: str) -> dict[int, np.ndarray]:
     """Axes of the nodes whose motions are not in the basic system, (3, 3) each: its columns are their x, y and z.
 
-    Source: a system of CORD2R is given by its origin A, a point B on its z axis and a point C in its xz plane.
-
     Raises
     ------
     InputError
-        For a node that moves in a cylindrical or spherical system, or one that is not in the file.
+        For a node that moves in a system that is not in the file.
     """
-    systems: Systems = {}
-    others: dict[str, str] = {}
-    nodes: dict[int, str] = {}
-    for name, fields in bulk_entries(text):
-        if name == "CORD2R" and len(fields) >= 11:
-            systems[fields[0]] = fields[1] or "0", np.array([real(part) for part in fields[2:11]]).reshape(3, 3)
-        elif name.startswith("CORD"):
-            others[fields[0]] = name
-        elif name == "GRID" and len(fields) > 5 and fields[5] not in ("", "0", "-1"):
-            nodes[int(fields[0])] = fields[5]
-    axes, unknown = axes_in(systems, nodes)
+    nodes = grids(text)
+    axes, unknown = _axes(_Frames(defined_systems(text), nodes), {node: one.moves for node, one in nodes.items()})
     for node, number in unknown.items():
-        what = f"{others[number]} {number}" if number in others else f"system {number}"
-        raise InputError(f"node {node} moves in {what}", place=file,
-                         remedy="give its CORD2R in the same file, or write the matrices in global axes")  # fmt: skip
+        raise InputError(f"node {node} moves in system {number}", place=file,
+                         remedy="give that system in the same file, or write the matrices in global axes")  # fmt: skip
     return axes
 
 
-def axes_in(systems: Systems, nodes: Mapping[int, str]) -> tuple[dict[int, np.ndarray], dict[int, str]]:
-    """Axes (3, 3) of nodes that move in systems of CORD2R, and, of other nodes, the system that is not known.
+def axes_in(
+    systems: Systems, nodes: Mapping[int, str], points: Mapping[int, Point]
+) -> tuple[dict[int, np.ndarray], dict[int, str]]:
+    """Axes (3, 3) of nodes that move in systems of their own, and, of other nodes, the system that is not known.
 
     Parameters
     ----------
-    systems : mapping from number to (number of the reference, (3, 3) points A, B and C)
+    systems : mapping from number to Defined
     nodes : mapping from node to the number of its system
         Nodes of system 0 are in none of the results.
+    points : mapping from node to place in basic axes
+        Of nodes that move in cylindrical and spherical systems.
     """
-    turned: dict[str, tuple[np.ndarray, np.ndarray]] = {"0": (np.zeros(3), np.eye(3))}
+    at = {node: Grid("0", np.array(place), nodes.get(node, "0")) for node, place in points.items()}
+    return _axes(_Frames(systems, at), nodes)
 
-    def frame(number: str, depth: int = 0) -> tuple[np.ndarray, np.ndarray]:
-        if number not in turned:
-            if number not in systems or depth > len(systems):
-                raise LookupError(number)
-            reference, (a, b, c) = systems[number]
-            origin, axes = frame(reference, depth + 1)
-            z = (b - a) / np.linalg.norm(b - a)
-            y = np.cross(z, c - a)
-            y /= np.linalg.norm(y)
-            turned[number] = origin + axes @ a, axes @ np.column_stack([np.cross(y, z), y, z])
-        return turned[number]
 
+def _axes(frames: _Frames, nodes: Mapping[int, str]) -> tuple[dict[int, np.ndarray], dict[int, str]]:
+    """As `axes_in`. A node on the axis of a cylindrical or spherical system moves in its Cartesian axes."""
     found: dict[int, np.ndarray] = {}
     unknown: dict[int, str] = {}
     for node, number in nodes.items():
         try:
             if number != "0":
-                found[node] = frame(number)[1]
+                own = frames.frame(number)
+                turned = own.axes if own.kind == 0 else own.directions(frames.place(node, number))
+                found[node] = (own.axes if turned is None else turned).T
         except LookupError as fault:
             unknown[node] = str(fault.args[0])
     return found, unknown

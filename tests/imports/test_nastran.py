@@ -157,8 +157,10 @@ def test_axes_follow_from_the_points_of_a_system():
     text += "        0.      1.      0.\nGRID    7       0       1.      2.      3.      5\n"
     axes = axes_of(Path("a.bdf"), text)[7]
     assert axes == pytest.approx(np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=float))
-    with pytest.raises(InputError, match="CORD2C 5"):
-        axes_of(Path("a.bdf"), text.replace("CORD2R", "CORD2C"))
+    radial = np.array([1, 2, 0]) / np.sqrt(5)
+    around = np.array([-2, 1, 0]) / np.sqrt(5)
+    turned = axes_of(Path("a.bdf"), text.replace("CORD2R", "CORD2C"))[7]
+    assert turned == pytest.approx(np.column_stack([radial, around, [0, 0, 1]]))
     with pytest.raises(InputError, match="system 6"):
         axes_of(Path("a.bdf"), text.replace("3.      5", "3.      6"))
 
