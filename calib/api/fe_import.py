@@ -129,6 +129,7 @@ def import_matrices(
     mass: Names = (),
     damping: Names = (),
     modes: str | Path | None = None,
+    modes_shapes: str | Path | None = None,
     measured: Named = (),
     shapes: Named = (),
     sensors: str | Path | None = None,
@@ -155,6 +156,8 @@ def import_matrices(
         Of matrices or their files, where these do not tell what they are. Each stiffness matrix gets a parameter.
     modes : path, optional
         What the code itself computed; see `calib.compare_modes`.
+    modes_shapes : path, optional
+        Shapes table beside a table of these modes.
     measured, shapes, sensors : path or sequence of paths, optional
         Measured modes, shapes and places of measured nodes for the study, as `calib.read_modes` takes them.
     to : path, optional
@@ -188,7 +191,7 @@ def import_matrices(
     if len(named) == 1 and study_file(named[0]).is_file() and (named[0].is_dir() or named[0].suffix == ".toml"):
         from calib.api.fe_runs import import_runs
 
-        given = (dofs, coordinates, units, stiffness, mass, damping, modes, measured, shapes, sensors)
+        given = (dofs, coordinates, units, stiffness, mass, damping, modes, modes_shapes, measured, shapes, sensors)
         if any(given):
             raise InputError("a study has all that its import needs", place="calib import", remedy="give --to alone")
         return import_runs(study_file(named[0]), None if to is None else path_of(to, "to"))
@@ -214,7 +217,9 @@ def import_matrices(
     table, told = _solved(model, read)
     notes += told
     if modes is not None:
-        own = read_fe_modes(path_of(modes, "modes"))
+        own = read_fe_modes(
+            path_of(modes, "modes"), shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes")
+        )
         table, told, doubts = _against(model, own, table)
         notes, warnings = (*notes, *told), (*warnings, *doubts)
         if doubts and any(words.startswith("common null space") for words in fixed):
@@ -319,7 +324,10 @@ def _against(
     )  # fmt: skip
     notes = tuple(own.notes)
     if not sensors:
-        notes += ("The code's shapes have no node of the model, so that frequencies are compared in ascending order.",)
+        notes += (
+            "The code's shapes have no node of the model, so that frequencies are compared in ascending order. Of "
+            "CalculiX ask for OUTPUT=2D in the first step of the deck.",
+        )
     from calib.api.problem import Problem
 
     try:
@@ -340,5 +348,12 @@ def _against(
     words = f"Frequencies differ from those of the code by at most {worst:.1e}{mac}"
     if lost or worst > FREQ_AGREES or least < MAC_AGREES:
         more = f"; {count(lost, 'mode')} of the code without a partner" if lost else ""
+        apart = np.abs(table["freq"].to_numpy()[:, None] / cut.natural_freq - 1).min(axis=0).max()
+        if apart < FREQ_AGREES:
+            words = f"Frequencies are those of the code within {apart:.1e}{mac}"
+            remedy = (
+                "So the matrices are right, and shapes differ at nodes: does the code print them in global directions? "
+                "Where beams and shells became solids, a node may move otherwise than the mean of its layers."
+            )
         return out, notes, (f"{words}{more}. {remedy}",)
     return out, (*notes, f"{words}: the imported model has the code's own modes."), ()

@@ -22,13 +22,16 @@ def compare(
     computed: Annotated[
         Path | None, typer.Option("--modes", metavar="FILE", help="Modes that a finite-element code has computed.")
     ] = None,
+    modes_shapes: Annotated[
+        Path | None, typer.Option("--modes-shapes", metavar="CSV", help="Computed shapes, where --modes is a table.")
+    ] = None,
     measured: Annotated[
         list[Path] | None, typer.Option("--measured", metavar="FILE", help="Measured modes; again for a repeat.")
     ] = None,
     shapes: Annotated[Path | None, typer.Option("--shapes", metavar="CSV", help="Measured shapes.")] = None,
     sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of measured nodes.")] = None,
     coordinates: Annotated[
-        Path | None, typer.Option("--coordinates", metavar="FILE", help="Computed nodes: table, .inp or .bdf.")
+        Path | None, typer.Option("--coordinates", metavar="FILE", help="Computed nodes: table, deck or mesh.")
     ] = None,
     length_unit: Annotated[str | None, typer.Option("--length-unit", help="Of computed nodes, such as mm.")] = None,
     into: Annotated[
@@ -50,7 +53,7 @@ def compare(
 
         found, written = compare_files(
             study, computed, measured or [], into, shapes=shapes, sensors=sensors, coordinates=coordinates,
-            length_unit=length_unit,
+            modes_shapes=modes_shapes, length_unit=length_unit,
         )  # fmt: skip
         for label, text in found.lines.items():
             if label != "Evidence":

@@ -26,7 +26,7 @@ def import_matrices(
         typer.Option("--dofs", metavar="TABLE", help="Node and direction of each row, where not in a file."),
     ] = None,
     coordinates: Annotated[
-        Path | None, typer.Option("--coordinates", metavar="FILE", help="Nodes: table in m, .inp or .bdf.")
+        Path | None, typer.Option("--coordinates", metavar="FILE", help="Nodes: table in m, deck or mesh.")
     ] = None,
     units: Annotated[
         str | None, typer.Option("--units", help="Of the matrices: m-kg-N, mm-t-N, in-lbf, in-kip.")
@@ -38,6 +38,9 @@ def import_matrices(
     damping: Annotated[list[str] | None, typer.Option("--damping", metavar="NAME", help="Matrix or file.")] = None,
     computed: Annotated[
         Path | None, typer.Option("--modes", metavar="FILE", help="The code's own modes, to check the import.")
+    ] = None,
+    modes_shapes: Annotated[
+        Path | None, typer.Option("--modes-shapes", metavar="CSV", help="Shapes, where these modes are a table.")
     ] = None,
     measured: Annotated[
         list[Path] | None, typer.Option("--measured", metavar="FILE", help="Measured modes; again for a repeat.")
@@ -58,7 +61,7 @@ def import_matrices(
     with one_thread():
         found = import_them(
             files, dofs=dofs, coordinates=coordinates, units=units, stiffness=stiffness or (), mass=mass or (),
-            damping=damping or (), modes=computed, measured=measured or (), shapes=shapes or (), sensors=sensors, to=to,
+            damping=damping or (), modes=computed, modes_shapes=modes_shapes, measured=measured or (), shapes=shapes or (), sensors=sensors, to=to,
         )  # fmt: skip
     terminal.tell_entries(found.entries, verbose)
     for line in found.next_steps:

@@ -9,9 +9,11 @@ from pathlib import Path
 import numpy as np
 
 from calib.errors.errors import InputError
-from calib.imports.coordinates import read_coordinates
+from calib.imports.coordinates import DECKS, read_coordinates
+from calib.imports.elements import transformed_nodes
 from calib.imports.fil import read_fil
 from calib.imports.frd import read_frd
+from calib.imports.keywords import deck_text, is_keyword, keyword_blocks
 from calib.imports.op2 import read_op2
 from calib.imports.printed import read_printed
 from calib.measurement.files.csv_format import is_rigid
@@ -62,7 +64,7 @@ def read_fe_modes(
     shapes : Path, optional
         Shapes table beside a modes table.
     coordinates : Path, optional
-        Where the file has none: a table ``node, x, y, z`` in m, or a deck (.inp, .bdf); see `read_coordinates`.
+        Where the file has none: a table ``node, x, y, z`` in m, a deck or a mesh; see `read_coordinates`.
     length_unit : str, optional
         Of coordinates in files that do not state it, such as ``mm``; by default m.
 
@@ -85,10 +87,33 @@ def read_fe_modes(
         return found if coordinates is None or is_table else _placed(found, read_coordinates(coordinates, metres))
     reader = {".frd": read_frd, ".fil": read_fil, ".op2": read_op2}.get(suffix, read_printed)
     freq, motions, points, notes = reader(file)
+    if reader is read_printed and coordinates is not None:
+        motions, told = _without_own_axes(motions, coordinates)
+        notes += told
     read = ReadModes(freq, motions, {n: _scaled(p, metres) for n, p in points.items()}, notes)
     if coordinates is not None:
         read = ReadModes(freq, motions, read_coordinates(coordinates, metres), notes)
     return _as_modes(file, read)
+
+
+def _without_own_axes(
+    motions: Mapping[tuple[int, int], np.ndarray], deck: Path
+) -> tuple[dict[tuple[int, int], np.ndarray], tuple[str, ...]]:
+    """Printed motions without those of nodes with a ``*TRANSFORM``, which ``*NODE PRINT`` has in their own directions.
+
+    Source: CalculiX, keyword *NODE PRINT: the default is GLOBAL=NO.
+    """
+    text = deck_text(deck) if deck.suffix.lower() in DECKS else ""
+    requests = [key for key, _ in keyword_blocks(text.splitlines()) if is_keyword(key, "*NODEPRINT")]
+    if all("GLOBAL=YES" in key for key in requests) and requests:
+        return dict(motions), ()
+    own = transformed_nodes(text)
+    kept = {at: row for at, row in motions.items() if at[0] not in own}
+    if len(kept) == len(motions):
+        return kept, ()
+    nodes = sorted({node for node, _ in motions if node in own})
+    words = f"{len(nodes)} nodes, such as {nodes[0]}, are printed in directions of their own (*TRANSFORM) and were left "
+    return kept, (words + "out: print them with *NODE PRINT, GLOBAL=YES.",)
 
 
 def _as_modes(file: Path, read: ReadModes) -> MeasuredModes:

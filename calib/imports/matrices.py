@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -24,7 +24,7 @@ from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
 from calib.imports.stored import Stored, counted_from_one, named, numbers_of, spread
-from calib.imports.systems import analysis_set, axes_of, is_bulk, turned_into_global
+from calib.imports.systems import all_motions, analysis_set, axes_of, is_bulk, turned_into_global
 from calib.measurement.files.read import UFF_SUFFIXES
 from calib.measurement.places import Point
 
@@ -101,7 +101,7 @@ def read_matrices(
     """
     given, notes = _with_neighbours(files)
     stored: list[tuple[Path, Stored]] = []
-    is_calculix, bulk, rows = False, dict[Path, str](), None
+    is_calculix, bulk, rows = False, dict[Path, str](), dict[str, np.ndarray]()
     for file in given:
         raw = _bytes(file)
         text = "" if b"\0" in raw[:2000] else with_included(file, raw.decode("latin-1"))
@@ -126,16 +126,16 @@ def read_matrices(
             stored += [(file, one) for one in found]
     for file, text in bulk.items():
         coordinates = file if coordinates is None and re.search(r"^GRID[\s*,]", text, re.MULTILINE) else coordinates
-        rows = analysis_set(text) if rows is None else rows
+        rows |= {words: own for words, own in _rows_of_deck(file, text) if words not in rows and own is not None}
     by_kind, told = _sorted_out(stored, chosen or {})
     notes += told
     table, told = _rows([one for own in by_kind.values() for one in own.values()], dofs, rows)
     notes += told
-    stated = (chosen or {}).get("damping")
-    empty = [] if stated else [name for name, one in by_kind["damping"].items() if _is_none(one, table)]
-    for name in empty:  # what Nastran writes for no damping
-        notes += (f"Left out: {name}, a damping of one row.",)
-        by_kind["damping"].pop(name)
+    for kind, own in by_kind.items():
+        empty = [] if (chosen or {}).get(kind) else [name for name, one in own.items() if _is_none(one, table)]
+        for name in empty:  # what Nastran writes for none
+            notes += (f"Left out: {name}, a {kind} of one row.",)
+            own.pop(name)
     matrices: Mapping[str, Mapping[str, sp.coo_array]] = {
         kind: {name: _sized(one, table, name).matrix for name, one in own.items()} for kind, own in by_kind.items()
     }
@@ -257,18 +257,20 @@ def _sorted_out(
     return out, notes
 
 
-def _rows(flat: Sequence[Stored], dofs: Path | None, listed: np.ndarray | None) -> tuple[pd.DataFrame, tuple[str, ...]]:
+def _rows(flat: Sequence[Stored], dofs: Path | None, of_deck: Mapping[str, np.ndarray]) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Names of the rows: those of a file of their own, of the matrices, or of the analysis set of a deck."""
     labels = [one.labels for one in flat if one.labels is not None]
     if not labels:
         if dofs is not None:
             return read_dofs(dofs), ()
-        if listed is not None and len(listed) == max(one.matrix.shape[0] for one in flat):
-            return table_of(listed), (
-                f"The {len(listed)} rows are those of the analysis set (EXTRN or ASET) of the deck.",
-            )
+        size = max(one.matrix.shape[0] for one in flat)
+        is_all = any("GG" in one.name.upper() for one in flat)
+        for words, listed in of_deck.items():
+            if len(listed) == size and (is_all or words == next(iter(of_deck))):
+                return table_of(listed), (f"The {size} rows are {words} of the deck.",)
+        other = "".join(f"; {len(listed)} are {words} of the deck" for words, listed in of_deck.items())
         raise InputError(
-            "no file names their rows", place="matrices",
+            f"no file names their {size} rows{other}", place="matrices",
             remedy="give node and direction of each row: --dofs TABLE, with the header node,direction",
         )  # fmt: skip
     alike = all(np.array_equal(one, labels[0]) for one in labels[1:])
@@ -284,6 +286,15 @@ def _rows(flat: Sequence[Stored], dofs: Path | None, listed: np.ndarray | None) 
     for axis in "xyz":
         table[axis] = table["node"].map(places[axis])
     return table, ()
+
+
+def _rows_of_deck(file: Path, text: str) -> Iterator[tuple[str, np.ndarray | None]]:
+    """Rows that a deck of Nastran may mean, each with what they are."""
+    try:
+        yield "those of the analysis set (EXTRN, ASET and others)", analysis_set(text)
+        yield "those of all GRID and SPOINT, in ascending order,", all_motions(text)
+    except ValueError as fault:
+        raise InputError(f"it cannot be read ({fault})", place=file, remedy="give --dofs and --coordinates") from None
 
 
 def _is_none(stored: Stored, table: pd.DataFrame) -> bool:

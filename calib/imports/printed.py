@@ -13,6 +13,8 @@ from calib.imports.frd import Found
 
 _NUMBER = re.compile(r"[-+]?(?:\d+\.\d*|\.\d+|\d+)(?:[EeDd][-+]?\d+|[-+]\d+)?(?![\d.])")
 """A number as Fortran prints it; two of them may touch, and an exponent may lack its letter."""
+_LOCAL = re.compile(r"^[ \t]*\d+(?:[ \t]+[-+]?\d\.\d+E[-+]\d+){3}[ \t]+L[ \t]*$", re.MULTILINE)
+"""A line of CalculiX for a node in local directions (*TRANSFORM)."""
 _NASTRAN = ("T1", "T2", "T3", "R1", "R2", "R3")
 _COLUMNS = (
     *((name, d) for d, name in enumerate(_NASTRAN)),
@@ -57,6 +59,9 @@ def read_printed(file: Path) -> Found:
         )  # fmt: skip
     numbers = [mode for mode in modes if mode in shapes] if shapes else list(modes)
     notes = []
+    if local := {int(line.split()[0]) for line in _LOCAL.findall(text)}:
+        notes.append(f"{len(local)} nodes, such as {min(local)}, are printed in directions of their own (*TRANSFORM) and "
+                     "were left out: print them with *NODE PRINT, GLOBAL=YES.")  # fmt: skip
     if shapes and len(numbers) < len(modes):
         notes.append(f"{len(modes) - len(numbers)} modes of {file.name} without a printed shape were left out.")
     if not shapes:
@@ -145,7 +150,7 @@ def _abaqus(text: str) -> tuple[Modes, Shapes]:
             directions = own
         elif mode and squeezed.startswith(("MAXIMUM", "MINIMUM", "FORCES", "TOTAL", "THEFOLLOWING")):
             directions = [] if not squeezed.startswith("THEFOLLOWING") else directions
-        elif mode:
+        elif mode and not line.endswith(" L"):
             shapes.setdefault(mode, {}).update(_rows(line, directions))
     return modes, {mode: own for mode, own in shapes.items() if own}
 

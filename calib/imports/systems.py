@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -198,24 +198,45 @@ def _whole(matrix: sp.coo_array) -> sp.csr_array:
 
 
 def analysis_set(text: str) -> np.ndarray | None:
-    """Node and direction of the rows of KAA and MAA, (n, 2) int, from EXTRN, ASET and ASET1 entries; None without.
+    """Node and direction of the rows of KAA and MAA, (n, 2) int; None where the deck does not name them.
 
-    They are in the order of the nodes' numbers, as Nastran has them; scalar points have direction 0.
+    They are those of EXTRN, else of ASET, BSET, CSET and QSET entries, in the order of the nodes' numbers, as Nastran
+    has them; scalar points have direction 0.
     """
-    found: dict[str, set[tuple[int, int]]] = {"EXTRN": set(), "ASET": set()}
+    found: dict[str, set[tuple[int, int]]] = {"EXTRN": set(), "SETS": set()}
     for name, fields in bulk_entries(text):
-        if name in ("EXTRN", "ASET"):
+        if name == "EXTRN" or re.fullmatch("[ABCQ]SET", name):
             for node, directions in zip(fields[::2], fields[1::2], strict=False):
                 if node:
-                    found[name] |= {(int(node), int(d)) for d in directions or "0"}
-        elif name == "ASET1":
-            nodes = [part for part in fields[1:] if part]
-            listed = range(int(nodes[0]), int(nodes[2]) + 1) if "THRU" in nodes else map(int, nodes)
-            found["ASET"] |= {(node, int(d)) for node in listed for d in fields[0] or "0"}
-    rows = found["EXTRN"] or found["ASET"]
+                    found[name if name == "EXTRN" else "SETS"] |= {(int(node), int(d)) for d in directions or "0"}
+        elif re.fullmatch("[ABCQ]SET1", name):
+            found["SETS"] |= {(node, int(d)) for node in _listed(fields[1:]) for d in fields[0] or "0"}
+    rows = found["EXTRN"] or found["SETS"]
     return np.array(sorted(rows), dtype=int) if rows else None
+
+
+def all_motions(text: str) -> np.ndarray | None:
+    """Node and direction of the rows of KGG and MGG, (n, 2) int: six of each GRID, one of each SPOINT; None without.
+
+    They are in the order of the nodes' numbers, as Nastran has them unless SEQGP states another, for which None stands.
+    """
+    found: set[tuple[int, int]] = set()
+    for name, fields in bulk_entries(text):
+        if name == "SEQGP":
+            return None
+        if name == "GRID":
+            found |= {(int(fields[0]), d) for d in range(1, 7)}
+        elif name == "SPOINT":
+            found |= {(node, 0) for node in _listed(fields)}
+    return np.array(sorted(found), dtype=int) if found else None
+
+
+def _listed(fields: Sequence[str]) -> Iterable[int]:
+    """Numbers of a list, of which ``THRU`` makes a range."""
+    numbers = [field for field in fields if field]
+    return range(int(numbers[0]), int(numbers[2]) + 1) if "THRU" in numbers else map(int, numbers)
 
 
 def is_bulk(text: str) -> bool:
     """Whether a text has entries of Nastran about nodes, systems or sets."""
-    return re.search(r"^(GRID|CORD2R|ASET1?|EXTRN)[\s*,]", text, re.MULTILINE | re.IGNORECASE) is not None
+    return re.search(r"^(GRID|CORD2R|[ABCQ]SET1?|EXTRN)[\s*,]", text, re.MULTILINE | re.IGNORECASE) is not None
