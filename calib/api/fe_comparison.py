@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
 import numpy as np
 
+from calib.analyses.compare import ComparisonResult
 from calib.api.display import Compared, compared
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
@@ -92,16 +94,26 @@ def compare_modes(
         coordinates=None if coordinates is None else path_of(coordinates, "coordinates"),
         length_unit=length_unit,
     )  # fmt: skip
-    test = _test(measured, shapes, sensors, computed.n_modes)
+    test = _test(measured, shapes, sensors, computed.n_modes, node_limit)
     if computed.n_modes < test.used.n_modes:
         raise InputError(
             f"{computed.n_modes} modes are computed, and {test.used.n_modes} were measured",
             place=computed.source or "modes", remedy="compute at least as many, better twice as many",
         )  # fmt: skip
-    model, partners = model_of_modes(computed, test.measured, node_limit)
+    model, partners = model_of_modes(computed, test.measured, test.node_limit)
     found = compared(_problem(model, test), None)
-    notes = (*computed.notes, *(() if partners is None else (partners.sentence, *partners.warnings)))
-    return Compared(found.by_test, found.studies, tuple(note for note in notes if note))
+    by_test = {name: _with_own_numbers(answer, partners) for name, answer in found.by_test.items()}
+    notes = (*computed.notes, *(() if partners is None else (partners.sentence,)))
+    return Compared(by_test, found.studies, tuple(note for note in notes if note))
+
+
+def _with_own_numbers(answer: ComparisonResult, partners: NodePartners | None) -> ComparisonResult:
+    """The result with the code's own node numbers; the model that is compared has those of the measured nodes."""
+    if partners is None or answer.partners is None:
+        return answer
+    renumbered = {f"Check this: {words}" for words in answer.partners.warnings}
+    hints = (*(f"Check this: {words}" for words in partners.warnings), *(h for h in answer.hints if h not in renumbered))
+    return replace(answer, hints=hints, partners=partners)
 
 
 def compare_files(
@@ -140,12 +152,12 @@ def _problem(model: ModalFunctionModel, test: ModalTest) -> Any:
     return Problem(model, test)
 
 
-def _test(measured: Any, shapes: Any, sensors: Any, count: int) -> ModalTest:
+def _test(measured: Any, shapes: Any, sensors: Any, count: int, node_limit: float | None) -> ModalTest:
     """The measured modes as a test, with all computed modes available for pairs."""
     if isinstance(measured, ModalTest):
-        return measured
+        return measured if node_limit is None else replace(measured, node_limit=node_limit)
     read = measured if isinstance(measured, MeasuredModes) else read_modes(measured, shapes=shapes, sensors=sensors)
-    return ModalTest(read, mode_count=max(count, read.n_modes))
+    return ModalTest(read, mode_count=max(count, read.n_modes), node_limit=node_limit)
 
 
 def model_of_modes(

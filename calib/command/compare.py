@@ -34,6 +34,10 @@ def compare(
         Path | None, typer.Option("--coordinates", metavar="FILE", help="Computed nodes: table, deck or mesh.")
     ] = None,
     length_unit: Annotated[str | None, typer.Option("--length-unit", help="Of computed nodes, such as mm.")] = None,
+    node_limit: Annotated[
+        float | None,
+        typer.Option("--node-limit", metavar="M", help="Largest distance of a measured node from a computed one, m."),
+    ] = None,
     into: Annotated[
         Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Report and tables of --modes.")
     ] = Path("compared"),
@@ -53,7 +57,7 @@ def compare(
 
         found, written = compare_files(
             study, computed, measured or [], into, shapes=shapes, sensors=sensors, coordinates=coordinates,
-            modes_shapes=modes_shapes, length_unit=length_unit,
+            modes_shapes=modes_shapes, length_unit=length_unit, node_limit=node_limit,
         )  # fmt: skip
         for label, text in found.lines.items():
             if label != "Evidence":

@@ -271,7 +271,7 @@ def _rows(flat: Sequence[Stored], dofs: Path | None, of_deck: Mapping[str, np.nd
         other = "".join(f"; {len(listed)} are {words} of the deck" for words, listed in of_deck.items())
         raise InputError(
             f"no file names their {size} rows{other}", place="matrices",
-            remedy="give node and direction of each row: --dofs TABLE, with the header node,direction",
+            remedy="give node and direction of each row: --dofs TABLE, with the header node,direction, or ANSYS's .mapping",
         )  # fmt: skip
     alike = all(np.array_equal(one, labels[0]) for one in labels[1:])
     joined = labels[0] if alike else np.unique(np.concatenate(labels), axis=0)

@@ -42,7 +42,10 @@ def read_printed(file: Path) -> Found:
         modes, shapes = _nastran(text)
     elif "EIGENVALUEOUTPUT" in squeezed:
         modes, shapes = _abaqus(text)
-    elif "NODALSOLUTIONPERNODE" in squeezed:
+    elif "NODALSOLUTIONPERNODE" in squeezed or "NODALDEGREEOFFREEDOMLISTING" in squeezed:
+        if (system := re.search(r"RESULTSAREIN(?:THE)?(?!THEGLOBAL|GLOBAL)([A-Z]*COORDINATESYSTEM\w*)", squeezed)) is not None:
+            raise InputError(f"its shapes are in another system ({system[1].lower()})", place=file,
+                             remedy="print them in the global one: RSYS,0")  # fmt: skip
         modes, shapes = _ansys(text)
     else:
         raise InputError(

@@ -96,9 +96,9 @@ class NodePartners:
         beyond = self.table[self.table["distance"] > self.table["limit"]]
         if not len(beyond) and not self.unit:
             return self
-        remedy = "correct the coordinates, or state a larger limit (node_limit, in m)"
+        remedy = "correct the coordinates, or state a larger limit in m (node_limit, --node-limit)"
         if self.unit:
-            remedy = f"it looks like {self.unit}: give both in m, or state length_unit of a universal file"
+            remedy = f"it looks like {self.unit}: give both in m, or state length_unit (--length-unit) of the file"
         if not len(beyond):
             words = f"{_nodes(len(self.table))} crowded on {self.table['partner'].nunique()} of the model {model}"
             raise InputError(words, place="sensors", remedy=remedy, table=self.text())

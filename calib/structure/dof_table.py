@@ -197,16 +197,27 @@ def _unpacked(packed: np.ndarray, place: str) -> pd.DataFrame:
     )
 
 
+_NAMES = {
+    name: k
+    for names in (
+        DIRECTIONS, ("UX", "UY", "UZ", "ROTX", "ROTY", "ROTZ"), ("U1", "U2", "U3", "UR1", "UR2", "UR3"),
+        ("T1", "T2", "T3", "R1", "R2", "R3"),
+    )
+    for k, name in enumerate(names)
+}  # fmt: skip
+"""Directions by their names here, in ANSYS, in Abaqus and in Nastran."""
+
+
 def _direction(given: object, k: int, place: str) -> int:
-    if given in DIRECTIONS:
-        return DIRECTIONS.index(str(given))
+    if isinstance(given, str) and (name := given.strip()) in _NAMES:
+        return _NAMES[name]
     try:
         number = float(given)  # type: ignore[arg-type]
     except (TypeError, ValueError):
         number = np.nan
     if not isinstance(given, bool) and number in range(1, len(DIRECTIONS) + 1):
         return int(number) - 1
-    remedy = f"one of {', '.join(DIRECTIONS)}, or 1 to 6"
+    remedy = f"one of {', '.join(DIRECTIONS)}, 1 to 6, or UX, U1 or T1 and so on"
     if number == 0:
         remedy = (
             "0 marks a scalar point (Nastran's SPOINT), such as the amplitude of a component mode: keep the row, "
