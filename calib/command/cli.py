@@ -13,21 +13,18 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
-from calib.command.compare import compare
-from calib.command.designs import designs
+from calib.command.compare import compare_model
+from calib.command.designs import list_designs, refine_samples, search_front, spread_of_fit
 from calib.command.example import new
 from calib.command.loaded import loaded_study
-from calib.command.look import look
-from calib.command.matrices import deck, import_matrices
-from calib.command.open_page import open_page
+from calib.command.matrices import deck, import_to_study
+from calib.command.measured import identify_modes_of_files, look_at_files
 from calib.command.options import (
     CachePath,
     CalibrationMethod,
     CaseName,
-    Estimator,
     ExecutorName,
     Format,
-    Quantity,
     Quick,
     ResultsPath,
     SensitivityMethod,
@@ -35,13 +32,8 @@ from calib.command.options import (
     Verbose,
     Width,
     Workers,
-    assigned,
-    listed,
     possible,
 )  # fmt: skip
-from calib.command.pareto import pareto
-from calib.command.refine import refine
-from calib.command.robustness import robustness
 from calib.errors.errors import InputError
 from calib.execution import interrupt
 from calib.results.results import RESULTS
@@ -62,71 +54,22 @@ app = typer.Typer(
 app.command(short_help="Write an annotated example study.")(new)
 
 
-@app.command(short_help="Print the JSON schema of study.toml.")
-def schema() -> None:
+@app.command("schema", short_help="Print the JSON schema of study.toml.")
+def print_schema() -> None:
     """Print the JSON schema of study.toml, with which editors complete and check its keys."""
-    from calib.study.schema import schema as settings_schema
+    from calib.study.schema import schema
 
-    typer.echo(json.dumps(settings_schema(), indent=1))
-
-
-@app.command(short_help="Identify modes from FRFs, hammer records or ambient records.")
-def modes(
-    files: Annotated[list[Path], typer.Argument(metavar="FILES...", help="Universal files, tables, workbooks, .mat.")],
-    into: Annotated[
-        Path, typer.Option("--into", metavar="FOLDER", callback=possible, help="Folder of the tables and the figure.")
-    ] = Path("modes"),
-    sensors: Annotated[Path | None, typer.Option("--sensors", metavar="CSV", help="Places of the nodes, m.")] = None,
-    quantity: Annotated[Quantity | None, typer.Option("--quantity", help="Where the files do not state it.")] = None,
-    unit: Annotated[str | None, typer.Option("--unit", help="Such as g/N, or g of records; where not stated.")] = None,
-    averages: Annotated[int | None, typer.Option("--averages", help="Averages behind a single file.")] = None,
-    channels: Annotated[
-        str | None, typer.Option("--channels", metavar="12z/3z,...", help="Functions, where files do not name them.")
-    ] = None,
-    variables: Annotated[
-        str | None, typer.Option("--variables", metavar="freq=f,frf=H", help="Names in .mat files, or the sheet.")
-    ] = None,
-    estimator: Annotated[Estimator, typer.Option("--estimator", help="Of hammer records.")] = Estimator.H1,
-    exponential_window: Annotated[
-        float | None,
-        typer.Option("--exponential-window", metavar="S", help="Time constant of the window that the data bear, s."),
-    ] = None,
-    band: Annotated[
-        tuple[float, float] | None, typer.Option("--band", metavar="LOW HIGH", help="Lines that are used, Hz.")
-    ] = None,
-    accept: Annotated[
-        list[float] | None, typer.Option("--accept", metavar="FREQ", help="Keep the refused mode near this, Hz.")
-    ] = None,
-    synthetic: Annotated[bool, typer.Option("--synthetic", help="No structure was measured.")] = False,
-    verbose: Verbose = False,
-) -> None:
-    """Identify modes from FRFs, hammer records or records of responses, and say where modes do not describe these.
-
-    Writes modes.csv and shapes.csv for a study, and the stabilisation diagram. Poles count that are stable over model
-    orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
-    """
-    from calib.api import progress
-    from calib.api.entries.identified import identified_entries
-    from calib.api.modes import identify_modes
-    from calib.execution.tasks import one_thread
-    from calib.measurement.files.read_frf import FRFReading
-
-    with one_thread(), progress.bars("modes") as told:
-        how = FRFReading(
-            None if quantity is None else quantity.value, unit, sensors, averages, listed(channels),
-            assigned(variables), None, estimator.value, exponential_window, synthetic,
-        )  # fmt: skip
-        written = identify_modes(files, into, how, band=band, accept=accept or (), progress=told)
-    terminal.tell_entries(identified_entries(written), verbose)
+    typer.echo(json.dumps(schema(), indent=1))
 
 
-app.command("import", short_help="Make a study of matrices of a finite-element code.")(import_matrices)
-app.command(short_help="Look at measured files, without a model.")(look)
-app.command(short_help="Compare model and measurement without fitting.")(compare)
+app.command("modes", short_help="Identify modes from FRFs, hammer records or ambient records.")(identify_modes_of_files)
+app.command("import", short_help="Make a study of matrices of a finite-element code.")(import_to_study)
+app.command("look", short_help="Look at measured files, without a model.")(look_at_files)
+app.command("compare", short_help="Compare model and measurement without fitting.")(compare_model)
 
 
-@app.command(short_help="Find which parameters matter.")
-def sensitivity(
+@app.command("sensitivity", short_help="Find which parameters matter.")
+def sensitivity_of_study(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
@@ -158,11 +101,11 @@ def sensitivity(
         )
 
 
-app.command(short_help="New runs where they help the metamodels most.")(refine)
+app.command("refine", short_help="New runs where they help the metamodels most.")(refine_samples)
 
 
-@app.command(short_help="Fit the parameters, and compare before and after.")
-def calibrate(
+@app.command("calibrate", short_help="Fit the parameters, and compare before and after.")
+def calibrate_study(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
@@ -186,8 +129,8 @@ def calibrate(
         loaded.calibrate(case, method=None if method is None else method.value)
 
 
-@app.command(short_help="Intervals of fitted parameters that assume no linear model.")
-def intervals(
+@app.command("intervals", short_help="Intervals of fitted parameters that assume no linear model.")
+def intervals_of_fit(
     study: StudyPath,
     parameter: Annotated[
         list[str] | None, typer.Option("--parameter", metavar="NAME", help="Only this one; may be repeated.")
@@ -210,15 +153,33 @@ def intervals(
         loaded.intervals(parameter or (), samples=samples)
 
 
-app.command(short_help="Responses over what is known of the fitted parameters.")(robustness)
-app.command(short_help="Weigh two groups of responses against each other.")(pareto)
-app.command(short_help="List evaluated designs, the best first.")(designs)
+app.command("robustness", short_help="Responses over what is known of the fitted parameters.")(spread_of_fit)
+app.command("pareto", short_help="Weigh two groups of responses against each other.")(search_front)
+app.command("designs", short_help="List evaluated designs, the best first.")(list_designs)
 app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
-app.command("open", short_help="Open the live page of a study.")(open_page)
 
 
-@app.command(short_help="Evaluate failed points once more.")
-def again(
+@app.command("open", short_help="Open the live page of a study.")
+def open_page(
+    study: Annotated[
+        Path, typer.Argument(metavar="[STUDY]", callback=possible, help="A study, or a folder with studies below it.")
+    ] = Path("."),
+    results: ResultsPath = RESULTS,
+    port: Annotated[int, typer.Option("--port", min=0, max=65535, help="Port [default: any that is free].")] = 0,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in the browser.")] = True,
+) -> None:
+    """Open the live page of a study: searches as they run, what was found, and the next command as a button.
+
+    Without a study it lists those below the present folder. The page answers on this computer alone; closing it stops
+    nothing. Needs: pip install 'calib[workbench]'.
+    """
+    from calib.workbench.server import serve
+
+    serve(study, results, port, browser, terminal.say)
+
+
+@app.command("again", short_help="Evaluate failed points once more.")
+def repeat_failed(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
@@ -230,8 +191,8 @@ def again(
         loaded.again()
 
 
-@app.command(short_help="Find which physical effect the model lacks.")
-def explain(
+@app.command("explain", short_help="Find which physical effect the model lacks.")
+def explain_study(
     study: StudyPath,
     results: ResultsPath = RESULTS,
     workers: Workers = None,
@@ -249,8 +210,8 @@ def explain(
         loaded.explain()
 
 
-@app.command(short_help="Compose effects that nobody listed.")
-def propose(
+@app.command("propose", short_help="Compose effects that nobody listed.")
+def propose_effects(
     study: StudyPath,
     rank: Annotated[int, typer.Option("--rank", min=1, max=20, metavar="N", help="Proposals that are written.")] = 5,
     results: ResultsPath = RESULTS,
@@ -267,8 +228,8 @@ def propose(
         loaded.propose(rank)
 
 
-@app.command(short_help="Write a new study whose model has more effects.")
-def extend(
+@app.command("extend", short_help="Write a new study whose model has more effects.")
+def extend_study(
     study: StudyPath,
     effects: Annotated[list[str], typer.Argument(metavar="EFFECT...", help="Possible causes that the study lists.")],
     into: Annotated[

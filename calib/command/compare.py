@@ -14,7 +14,7 @@ from calib.errors.errors import InputError
 from calib.results.results import RESULTS
 
 
-def compare(
+def compare_model(
     study: Annotated[
         Path | None, typer.Argument(metavar="[STUDY]", help="Folder with a study.toml; or use the options below.")
     ] = None,

@@ -13,7 +13,7 @@ from calib.command.options import ResultsPath, StudyPath, Verbose, possible
 from calib.results.results import RESULTS
 
 
-def import_matrices(
+def import_to_study(
     files: Annotated[
         list[Path],
         typer.Argument(
