@@ -152,15 +152,15 @@ def of_matrices() -> Taken:
 
     And the static vectors of a basis where a strip of 885 degrees of freedom has material damping.
     """
-    import many_sensors
+    import grillage
     import scipy.stats  # noqa: F401  # its import is no part of a fit
 
     import calib
     from calib.structure.eigenproblem.derivatives import mode_derivatives
 
-    model = many_sensors.grillage(SIDE)
+    model = grillage.grillage(SIDE)
     names = [f"zone_{k + 1}" for k in range(ZONES)]
-    test = calib.ModalTest(many_sensors.measured(model, FEW_SENSORS, FEW_MODES))
+    test = calib.ModalTest(grillage.measured(model, FEW_SENSORS, FEW_MODES))
     rows = model.sensor_rows(test.modes.sensors)
     one = usual(lambda v: model.modes(v, 2 * FEW_MODES), [{names[0]: 1.1 + 0.01 * k} for k in range(REPEATS)])
     modes = model.modes({}, 2 * FEW_MODES)
@@ -200,13 +200,13 @@ def of_strip(model) -> tuple[Spent, float]:
 
 def of_sensors() -> Taken:
     """500 sensors and 100 modes of a model of 2,028 degrees of freedom given as matrices, 10 parameters."""
-    import many_sensors
+    import grillage
     import scipy.stats  # noqa: F401  # its import is no part of a fit
 
     import calib
 
-    model = many_sensors.grillage(26)
-    problem = calib.Problem(model, calib.ModalTest(many_sensors.measured(model, 500, 100)))
+    model = grillage.grillage(26)
+    problem = calib.Problem(model, calib.ModalTest(grillage.measured(model, 500, 100)))
     with nothing_kept():
         return {
             "compare": spent(problem.compare),

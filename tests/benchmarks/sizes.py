@@ -3,7 +3,7 @@
     python tests/benchmarks/sizes.py [--sizes 10000 30000 100000] [--steps compare calibrate explain] [--limit 45]
                                      [--write FILE]
 
-The structure is the grillage of ``many_sensors.py``: ten unknown zones of stiffness, ten measured modes at 40 sensors.
+The structure is the grillage of ``grillage.py``: ten unknown zones of stiffness, ten measured modes at 40 sensors.
 Every size runs in a process of its own, so that the memory is its own; a step includes what the ones before it need.
 A size that has taken ``--limit`` minutes of processor time is ended; the steps that it did not complete are told.
 """
@@ -20,7 +20,7 @@ import subprocess
 import sys
 from pathlib import Path
 
-from many_sensors import grillage, measured
+from grillage import grillage, measured
 from page import Page
 from stopwatch import short, spent
 

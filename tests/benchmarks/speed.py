@@ -47,13 +47,16 @@ class Row(NamedTuple):
 
 
 class Group(NamedTuple):
-    """Measures that one process takes, with the arguments of `measures.py`."""
+    """Measures that one process takes, with the arguments of a script."""
 
     arguments: tuple[str, ...]
     long: bool = False
+    script: str = "measures.py"
 
 
 GROUPS = {
+    **{name: Group((name,), script="waits.py") for name in ("imports", "compare", "explain", "spearman")},
+    **{name: Group((name,), long=True, script="waits.py") for name in ("plate", "wide", "parts")},
     "modes": Group(("modes",)),
     "opensees": Group(("opensees",)),
     "calculix": Group(("calculix",)),
@@ -67,10 +70,22 @@ GROUPS = {
     "genetic": Group(
         ("commands", "calibrate studies/bogie --workers 2", "calibrate studies/vehicle --workers 2"), long=True
     ),
-    "fine": Group(("--sizes", "1", "4", "--samples", "8"), long=True),
+    "fine": Group(("--sizes", "1", "4", "--samples", "8"), long=True, script="growth.py"),
     "fine_explain": Group(("finer", "studies/hidden_effect", "refine=1", "refine=4"), long=True),
 }
 ROWS = (
+    Row("import calib; calib.Problem", "s", "0.4x", "imports", "seconds"),
+    Row("calib compare studies/bogie, first", "s", "0.4x", "compare", "first"),
+    Row("again, unchanged", "s", "0.15x", "compare", "again"),
+    Row("calib explain studies/hidden_bogie, nothing kept", "s", "0.4x", "explain", "first"),
+    Row("the same, bases kept", "s", "0.3x", "explain", "kept"),
+    Row("Spearman, 100 inputs, 300 responses, 500 samples", "s", "0.02", "spearman", "seconds"),
+    Row("plate of 4,800 degrees of freedom, 14 parts, one damped: calibrate and explain, over one solution by eigsh",
+        "", "100", "plate", "solutions"),
+    Row("peak memory of that", "MB", "300", "plate", "own_mb"),
+    Row("explain without a list, 10k degrees of freedom, 10 parts", "s", "0.3x", "wide", "explain"),
+    Row("explain without a list, 1.9k degrees of freedom, 100 parts", "s", "0.2x", "parts", "explain"),
+    Row("peak memory of that", "MB", "400", "parts", "own_mb"),
     Row("one reduced evaluation of the vehicle", "ms", "10 to 12", "vehicle", "evaluation"),
     Row("full-order modes of the vehicle, refined", "s", "0.26", "vehicle", "refined"),
     Row("full-order modes of the vehicle, solved directly", "s", "", "vehicle", "direct"),
@@ -180,10 +195,9 @@ def write(file: Path, rows: list[tuple[str, ...]]) -> None:
 
 def measured(group: Group, checkout: Path) -> dict[str, Cell]:
     """What a group takes with the code of a checkout."""
-    script = HERE / ("growth.py" if group.arguments[0].startswith("--") else "measures.py")
     paths = os.pathsep.join([str(checkout), str(HERE)])
     done = subprocess.run(
-        [sys.executable, str(script), *group.arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
+        [sys.executable, str(HERE / group.script), *group.arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
         env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
     )  # fmt: skip
     taken = json.loads(done.stdout.splitlines()[-1])

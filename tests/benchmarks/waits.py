@@ -1,0 +1,120 @@
+"""Waits of a user that any commit can be asked for: commands, imports, and models given as matrices from Python.
+
+    PYTHONPATH=CHECKOUT python tests/benchmarks/waits.py GROUP
+
+The last line is a JSON object, as that of `measures.py`. Only the front door and the commands of calib are used, and the
+studies are those of the checkout, so that a commit of other rooms and keys can stand beside the present one.
+"""
+
+from __future__ import annotations
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ[_variable] = "1"
+
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import scipy.sparse as sp
+from child import report
+from stopwatch import Spent, median, spent
+
+Taken = dict[str, Spent | float | str]
+REPEATS = 3
+MODES, SHIFT = 40, -1.0
+"""Of one solution by eigsh, the unit in which explanations of matrix models are told; and its shift, (rad/s)^2."""
+
+
+def main() -> None:
+    """Take the measures of one group."""
+    groups: dict[str, Callable[[], Taken]] = {
+        "imports": of_imports, "compare": of_compare, "explain": of_explain, "spearman": of_spearman,
+        "plate": of_plate, "wide": lambda: of_explanation(58, (5, 2)), "parts": lambda: of_explanation(25, (10, 10)),
+    }  # fmt: skip
+    report(**groups[sys.argv[1]]())
+
+
+def of_imports() -> Taken:
+    """What stands before the first line of a user's script."""
+    words = [sys.executable, "-c", "import calib; calib.Problem"]
+    subprocess.run(words, check=True)  # compiles what is not compiled yet
+    return {"seconds": median([spent(lambda: subprocess.run(words, check=True)) for _ in range(2 * REPEATS)])}
+
+
+def of_compare() -> Taken:
+    """``calib compare studies/bogie`` first, and again with nothing changed."""
+    with tempfile.TemporaryDirectory() as home:
+        command("compare", "bogie", f"{home}/before", home)  # compiles, and trains the basis
+        return {
+            "first": spent(lambda: command("compare", "bogie", f"{home}/results", home)),
+            "again": spent(lambda: command("compare", "bogie", f"{home}/results", home)),
+        }
+
+
+def of_explain() -> Taken:
+    """``calib explain studies/hidden_bogie`` with nothing kept, and with the bases of an earlier run."""
+    with tempfile.TemporaryDirectory() as home:
+        return {
+            "first": spent(lambda: command("explain", "hidden_bogie", f"{home}/results", home)),
+            "kept": spent(lambda: command("explain", "hidden_bogie", f"{home}/again", home)),
+        }
+
+
+def command(name: str, study: str, results: str, home: str) -> None:
+    """A command of the checkout on its own study, into a folder of results, with a cache in another."""
+    import calib
+
+    words = [sys.executable, "-m", "calib", name, f"studies/{study}", "--results", results, "--cache", f"{home}/cache"]
+    root = Path(calib.__file__).parents[1]
+    subprocess.run(words, cwd=root, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def of_spearman() -> Taken:
+    """Rank correlations of 100 inputs with 300 responses of 500 samples."""
+    from calib.sensitivity.spearman import spearman
+
+    rng = np.random.default_rng(1)
+    points = pd.DataFrame(rng.uniform(size=(500, 100))).rename(columns="x{}".format)
+    responses = pd.DataFrame(rng.normal(size=(500, 300))).rename(columns="y{}".format)
+    spearman(points.iloc[:, :2], responses.iloc[:, :2])
+    return {"seconds": median([spent(lambda: spearman(points, responses)) for _ in range(REPEATS)])}
+
+
+def of_plate() -> Taken:
+    """Calibration and explanation from Python: 4,800 degrees of freedom, 14 parts, one of them damped, 8 modes."""
+    return of_explanation(40, (7, 2), damped=True, sensors=30, modes=8)
+
+
+def of_explanation(
+    side: int, zones: tuple[int, int], damped: bool = False, sensors: int = 40, modes: int = 10
+) -> Taken:
+    """Calibration and explanation of a grillage without a list of causes, nothing kept; over one solution by eigsh."""
+    import scipy.stats  # noqa: F401  # its import is no part of a fit
+    from grillage import grillage, measured
+
+    import calib
+
+    model = grillage(side, zones, damped)
+    with tempfile.TemporaryDirectory() as folder:
+        os.environ["CALIB_CACHE"] = folder
+        problem = calib.Problem(model, calib.ModalTest(measured(model, sensors, modes)))
+        stiffness, mass = (sp.csc_matrix(matrix(model.space.values)) for matrix in (model.stiffness, model.mass))
+        one = median([spent(lambda: sp.linalg.eigsh(stiffness, MODES, mass, sigma=SHIFT)) for _ in range(REPEATS)])
+        fits: list = []
+        fitted = spent(lambda: fits.append(problem.calibrate()))
+        explained = spent(lambda: fits[0].explain())
+    whole = Spent(*(fitted[k] + explained[k] for k in (0, 1)))
+    return {
+        "one": one, "calibrate": fitted, "explain": explained,
+        "solutions": Spent(*(whole[k] / one[k] for k in (0, 1))),
+    }  # fmt: skip
+
+
+if __name__ == "__main__":
+    main()
