@@ -134,7 +134,7 @@ class ModalReduction(Reduction):
         """Largest error indicator of the paired modes."""
         found = self.problem.compare(values)
         chosen = found.pairing.model_index[found.pairing.paired]
-        return float(np.max(self._reduced.indicator(found.values, found.modes)[chosen], initial=0.0))
+        return float(np.max(self._reduced.indicator(found.values, found.modes.subset(chosen)), initial=0.0))
 
     def misses_at(self, values: Mapping[str, float]) -> bool:
         """See `Reduction`; by `FIRST_ORDER` times as much, relative in frequency, absolute in MAC.

@@ -99,7 +99,8 @@ def serve(path: Path, root: Path, port: int, browser: bool, say: Callable[[str],
 
 def _listening(port: int) -> socket.socket:
     """A socket of this computer alone; InputError for a port that is taken."""
-    ears = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    # Only of a socket with this protocol asyncio sends what is small at once; else answers wait some 40 ms for the page.
+    ears = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         ears.bind((LOOPBACK, port))
         ears.listen(_AT_ONCE)  # whoever reads the address may ask at once

@@ -180,7 +180,7 @@ class WhatIf:
         reduced, out = found.model, dict[str, Any]()
         if isinstance(reduced, ReducedModel):
             chosen = found.pairing.model_index[found.pairing.paired]
-            errors = reduced.indicator(found.values, found.modes)[chosen]
+            errors = reduced.indicator(found.values, found.modes.subset(chosen))
             out = {"error": float(np.max(errors, initial=0.0)), "tolerance": reduced.basis.tolerance}
         if self.motion is not None and mode in found.measured.names:
             out |= {"mode": mode, "motion": self.motion.packed(found.deflection_table(mode))}

@@ -1,5 +1,6 @@
 """Requests that are not the page's own are refused, and none leads out of the study and its results."""
 
+import asyncio
 import contextlib
 import json
 import socket
@@ -12,6 +13,7 @@ from starlette.testclient import WebSocketDenialResponse
 from starlette.websockets import WebSocketDisconnect
 
 from calib import workbench
+from calib.workbench import server
 from calib.workbench.guard import LARGEST, POLICY
 
 from .conftest import OWN, PORT, TOKEN
@@ -205,3 +207,20 @@ def test_nothing_that_is_asked_changes_a_file(page, key, here):
     with page.websocket_connect(f"{SOCKET}/{TOKEN}/live") as live:
         assert key in json.loads(live.receive_text())["studies"]
     assert {path: path.read_bytes() for path in here.rglob("*") if path.is_file()} == before
+
+
+def test_an_answer_does_not_wait_for_the_page():
+    """Nagle's algorithm holds a body back until the page has acknowledged the head, some 40 ms later."""
+
+    async def option():
+        found = asyncio.get_running_loop().create_future()
+        ears = server._listening(0)
+        async with await asyncio.start_server(lambda _, own: found.set_result(own), sock=ears):
+            _, mine = await asyncio.open_connection(*ears.getsockname())
+            own = await found
+            value = own.get_extra_info("socket").getsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY)
+            own.close()
+            mine.close()
+            return value
+
+    assert asyncio.run(option())

@@ -17,6 +17,7 @@ from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
+from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.derivatives import Analytic
 from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.eigenproblem.solve_dense import solve_dense
@@ -199,7 +200,7 @@ class ReducedModel(Analytic):
 
     def lift(self, shapes: np.ndarray) -> np.ndarray:
         """Shapes over the full model's degrees of freedom, (n_full, n_modes), from those over the basis."""
-        return self.basis.vectors @ shapes
+        return real_times(self.basis.vectors, shapes)
 
     def sensor_rows(self, sensors: Sequence[Sensor]) -> np.ndarray:
         """Motion at the sensors over the basis, (n_sensors, size); raises like the full model."""
@@ -277,7 +278,8 @@ class ReducedModel(Analytic):
         size = 2 * np.pi * modes.natural_freq
         if modes.is_complex:
             lam = -modes.damping_ratio * size + 2j * np.pi * modes.damped_freq
-            residual = lam**2 * (mass @ shapes) + lam * (damping @ shapes) + stiffness @ shapes
+            inertia, dissipation = real_times(mass, shapes), real_times(damping, shapes)
+            residual = lam**2 * inertia + lam * dissipation + real_times(stiffness, shapes)
             parts = np.hstack([residual.real, residual.imag])
         else:
             parts = stiffness @ shapes - size**2 * (mass @ shapes)
