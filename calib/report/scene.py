@@ -69,14 +69,18 @@ def plot_coordinates(points: np.ndarray) -> np.ndarray:
 
 
 def side_arrows(points: np.ndarray) -> dict[str, np.ndarray]:
-    """Return an arrow (2, 3) that leaves the points (n, 3) to every side that the axes name, such as ``front``."""
+    """Return an arrow (2, 3) that leaves the points (n, 3) to every side that the axes name, such as ``front``.
+
+    One that rises in the view stands at the top of the points, another at their bottom: both are then outside them.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     length, up = _BEYOND * float(np.linalg.norm(high - low)), int(np.argmax(plot_coordinates(np.eye(3))[:, 2]))
     arrows = {}
     for axis, side in _SIDES.findall(_axes.get()):
         k = PLACE.index(axis)
         start = (low + high) / 2
-        start[up], start[k] = low[up], high[k] + length / 2
+        rises = float(view_directions()[1] @ plot_coordinates(np.eye(3)[k])) > 0.0
+        start[up], start[k] = (high if rises else low)[up], high[k] + length / 2
         arrows[side] = np.array([start, start + length * np.eye(3)[k]])
     return arrows
 

@@ -108,7 +108,7 @@ def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern,
     ("axes", "ends"),
     [
         ("x to the front, y up, z to the left", {"front": [4, 0, 1], "left": [2, 0, 2]}),
-        ("x to the front, y to the left, z up", {"front": [4, 0, 0], "left": [2, 0, 0]}),  # on the lowest z
+        ("x to the front, y to the left, z up", {"front": [4, 0, 0], "left": [2, 0, 2]}),  # left rises in the view
         ("x along the arm, y up", {}),
     ],
 )
