@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, TypeAlias, cast
 
@@ -16,10 +16,10 @@ from calib.analyses.provenance.stored import with_passing
 from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
-from calib.api.finer_mesh import finer_of, require_finer_mesh
 from calib.api.pairs import generic_of, including, library_of, reporting
 from calib.api.proposed import Proposed, proposed
 from calib.api.protocols import Candidates, Effects, Finer, P
+from calib.errors.arguments import objects
 from calib.errors.errors import InputError
 from calib.execution.executor import AnyExecutor, injected
 from calib.missing.discrepancy import TABLE as PARAMETERS
@@ -30,7 +30,7 @@ from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
 from calib.study.loading import lacking, require_distinct
 from calib.study.measurement_settings import GENERIC
-from calib.study.settings import StudySettings
+from calib.study.settings import ExplainSettings, StudySettings
 
 Library: TypeAlias = Mapping[str, tuple[Effect, ...]]
 """Effects by the name of the model that may lack them."""
@@ -209,3 +209,35 @@ def explained(
                 shared = study.each(lambda one: with_passing(one, passing, workers))
                 _, answer = explanation_of(shared, step, begin=begin)
     return Explained(problem, library, answer, settings, meshes)
+
+
+def require_finer_mesh(
+    settings: ExplainSettings, finer: Mapping[str, StructuralModel], pairs: Collection[tuple[Any, Any]]
+) -> None:
+    """InputError where an error of the mesh is stated without any finer mesh, or one is given for a test without.
+
+    ``pairs`` are the models with their tests.
+    """
+    for model, test in pairs:
+        if model.name in finer and not test.shows_mesh:
+            raise InputError(f"the test {test.name} of the model {model.name} has no mesh", place="explain, finer")
+    if settings.mesh_sd is not None and not finer:
+        raise InputError(
+            "mesh_sd states an error of the mesh, but no finer mesh is given", place="explain, mesh_sd",
+            remedy="give the model on a finer mesh as finer",
+        )  # fmt: skip
+
+
+def finer_of(models: Collection[Any], meshes: object) -> dict[str, StructuralModel]:
+    """Finer meshes by the name of the model; a single one is of the first model. InputError for an unknown name."""
+    names = [model.name for model in models]
+    if meshes is None:
+        return {}
+    if not isinstance(meshes, Mapping):
+        return {names[0]: objects([meshes], StructuralModel, "explain, finer")[0]}
+    for name in meshes:
+        if name not in names:
+            raise InputError(
+                f"no model is named {name!r}", place="explain, finer", remedy=f"the models are {', '.join(names)}"
+            )
+    return {name: objects([model], StructuralModel, f"finer of {name}")[0] for name, model in meshes.items()}

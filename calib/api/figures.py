@@ -3,26 +3,27 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import Stale, stale_answers
 from calib.analyses.versions import write_versions
 from calib.api.figures_made import make_all
-from calib.api.first_test import first_test_first
 from calib.api.listener import Listener
 from calib.errors.errors import InputError
+from calib.missing.pattern import BY_TEST
+from calib.problem.joint import TEST
 from calib.report.figures import FigureRequest
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import NAME as REPORT
 from calib.report.html.write import pictures, write_report
 from calib.report.style import FORMATS, Format, Width, add_heading, save, style
-from calib.report.tables import CurrentFolder
+from calib.report.tables import CurrentFolder, read_results
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.several import JointStudy
@@ -206,3 +207,28 @@ def redraw_study(study: StudyFile, root: Path, listener: Listener, formats: Sequ
     written = [file for folder in together if (file := found_among(study, folder.path))]
     for file in written[:1]:  # the extended study of a quick run has its results in the same place
         redraw_study(StudyFile.read(file), root, listener, formats, width)
+
+
+class _OfTest(Protocol):
+    @property
+    def test(self) -> str:
+        """Name of the test; empty where there is only one."""
+        ...
+
+
+_T = TypeVar("_T", bound=_OfTest)
+
+
+def first_test(folder: Results) -> str:
+    """The test that `calib.missing.pattern.reduction_table` marks; empty where no effect is named, and without it."""
+    name = f"{BY_TEST}.csv"
+    if not folder.has(name):
+        return ""
+    table = read_results(folder.path / name, ["effects", TEST], flags=["shown_first"], may_be_empty=True)
+    return next(iter(table.loc[table["shown_first"].astype(bool), TEST].astype(str)), "")
+
+
+def first_test_first(parts: Iterable[_T], folder: Results) -> tuple[_T, ...]:
+    """The parts of a study, of which `first_test` comes first; all others in the order of the study."""
+    first = first_test(folder)
+    return tuple(sorted(parts, key=lambda part: part.test != first))

@@ -29,10 +29,9 @@ from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
 from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
-from calib.api.search import Searched
 from calib.errors.arguments import path as path_of
 from calib.execution.executor import AnyExecutor, injected
-from calib.inference.agreement import Agreement
+from calib.inference.agreement import Agreement, Searched
 from calib.results.answer import Answer
 
 if TYPE_CHECKING:

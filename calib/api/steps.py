@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from calib.api.arguments import ParetoKeys, RobustnessKeys
     from calib.api.problem import Problem
     from calib.execution.stage import Progress
+    from calib.missing.explanation import Explanation
     from calib.missing.findings import ExplanationResult
     from calib.results.ledger import Ledger
     from calib.results.results import Results
@@ -244,6 +245,44 @@ def explained(study: Any) -> ExplanationResult:
         answer = explain(stored, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
     study.listener.explained(loaded, answer, study.folder)
     return answer
+
+
+def with_named(study: Any, before: Fitted, found: Explanation) -> Any:
+    """The study extended by the named effects, calibrated and compared with it before; None when none is named.
+
+    Parameters
+    ----------
+    study : Study
+    before : Fitted
+    found : Explanation
+    """
+    from calib.analyses import added
+    from calib.analyses import extend as extension
+    from calib.analyses.versions import write_versions
+
+    loaded, named = study.loaded, added.to_add(found)
+    if named is None:
+        study.listener.nothing_added(added.nothing_added(found))
+        for one in study.tests:
+            added.write_nothing_added(one.one, found, one.folder, study.quick)
+        return None
+    study.listener.begins(loaded, "extend")
+    free = {*loaded.search_space.free_names, *(name for e in named.effects for name in e.names)}
+    free &= set(named.fit.fit_problem.space.free_names)
+    begin_at = {name: value for name, value in named.fit.values.items() if name in free}
+    written = extension.extend_among(loaded, named.names, study.folder.path, begin_at)
+    study.listener.extended(written)
+    extended = replace(study, path=written.file, read=None)
+    after = fitted(extended)
+    study.listener.begins(loaded, "before and after")
+    for own, other in zip(study.tests, extended.tests, strict=True):
+        test = own.one.test
+        was, now = before.seen(test), after.seen(test)
+        answer = added.write_added(own.one, was, named, other.one, now, own.folder, study.quick)
+        if not study.quick:
+            write_versions(other.one, study.results)
+        study.listener.added(answer, written, other.folder)
+    return extended
 
 
 def in_memory(study: LoadedStudy) -> Problem:

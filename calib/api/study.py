@@ -360,8 +360,6 @@ class Study:
             with self._by(executor) as study:
                 found = study.run()
             return self if found is study else replace(found, workers=self.workers)
-        from calib.api.added_effects import with_named
-
         for study in self.tests:
             steps.compared(study)
             steps.sampled(study)
@@ -369,7 +367,7 @@ class Study:
         if before.too_few:
             self.listener.nothing_added(f"Nothing was explained: {before.too_few}.")
         elif self.loaded.candidates:
-            extended = with_named(self, before, steps.explained(self).explanation)
+            extended = steps.with_named(self, before, steps.explained(self).explanation)
         with places.tasks_shared(self.workers):
             if extended is not None:
                 extended.draw(report=True)

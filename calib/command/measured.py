@@ -81,7 +81,6 @@ def identify_modes_of_files(
     orders and whichever repeat is left out; no pole is picked by hand. Time records need: pip install 'calib[ambient]'.
     """
     from calib.api import progress
-    from calib.api.entries.identified import identified_entries
     from calib.api.modes import identify_modes
     from calib.execution.tasks import one_thread
     from calib.measurement.files.read_frf import FRFReading
@@ -92,4 +91,4 @@ def identify_modes_of_files(
             assigned(variables), None, estimator.value, exponential_window, synthetic,
         )  # fmt: skip
         written = identify_modes(files, into, how, band=band, accept=accept or (), progress=told)
-    terminal.tell_entries(identified_entries(written), verbose)
+    terminal.tell_entries(written.entries, verbose)

@@ -9,7 +9,7 @@ import pytest
 
 import calib
 from calib.api import steps
-from calib.api.first_test import first_test_first
+from calib.api.figures import first_test_first
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.report.figures import Figures
