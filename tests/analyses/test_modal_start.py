@@ -109,6 +109,7 @@ def test_five_hundred_sensors_and_a_hundred_modes():
         sys.path.remove(str(BENCH))
     model = case.grillage(26)
     fit = calib.Problem(model, calib.ModalTest(case.measured(model, 500, 100))).calibrate()
-    true = dict(zip(model.space.names, np.random.default_rng(500).uniform(0.8, 1.25, len(model.space.names)), strict=True))
+    names = model.space.names
+    true = dict(zip(names, np.random.default_rng(500).uniform(0.8, 1.25, len(names)), strict=True))
     off = [(fit.values[name] - value) / fit.parameters["std"][name] for name, value in true.items()]
     assert np.max(np.abs(off)) < 4 and fit.parameters["identified"].all()

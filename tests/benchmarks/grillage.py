@@ -78,7 +78,8 @@ def _sum(parts: list[tuple[np.ndarray, np.ndarray]], size: int) -> sp.csr_array:
 def measured(model: calib.StructuralModel, n_sensors: int, n_modes: int) -> MeasuredModes:
     """Modes of the same grillage with other stiffnesses, and noise."""
     rng = np.random.default_rng(n_sensors)
-    values = {name: float(value) for name, value in zip(model.space.names, rng.uniform(0.8, 1.25, len(model.space.names)), strict=True)}
+    drawn = rng.uniform(0.8, 1.25, len(model.space.names)).tolist()
+    values = dict(zip(model.space.names, drawn, strict=True))
     modes = model.modes(values, n_modes)
     nodes = np.sort(rng.choice(len(model.labels), n_sensors, replace=False))
     sensors = tuple(Sensor(model.labels[k], "z") for k in nodes)

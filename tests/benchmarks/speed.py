@@ -3,7 +3,8 @@
     python tests/benchmarks/speed.py [--before COMMIT] [--rows NAME ...] [--long] [--table FILE]
 
 ``--before`` is another commit of this repository, checked out into a temporary folder; it takes turns with this
-checkout, group by group, so that a busy machine slows both. Studies are those of this checkout on both sides. Wall
+checkout, group by group, so that a busy machine slows both. Studies are those of this checkout on both sides, except in the rows of
+`waits.py`, which can be taken of commits of other rooms and keys too. Wall
 clock and processor time, the latter of all processes together, which are as many as by default; on a busy machine
 believe the processor time. ``--table`` names the CSV file; the Markdown table stands beside it. What takes long is
 measured on request.
@@ -80,8 +81,13 @@ ROWS = (
     Row("calib explain studies/hidden_bogie, nothing kept", "s", "0.4x", "explain", "first"),
     Row("the same, bases kept", "s", "0.3x", "explain", "kept"),
     Row("Spearman, 100 inputs, 300 responses, 500 samples", "s", "0.02", "spearman", "seconds"),
-    Row("plate of 4,800 degrees of freedom, 14 parts, one damped: calibrate and explain, over one solution by eigsh",
-        "", "100", "plate", "solutions"),
+    Row(
+        "plate of 4,800 degrees of freedom, 14 parts, one damped: calibrate and explain, over one solution by eigsh",
+        "",
+        "100",
+        "plate",
+        "solutions",
+    ),
     Row("peak memory of that", "MB", "300", "plate", "own_mb"),
     Row("explain without a list, 10k degrees of freedom, 10 parts", "s", "0.3x", "wide", "explain"),
     Row("explain without a list, 1.9k degrees of freedom, 100 parts", "s", "0.2x", "parts", "explain"),
@@ -197,7 +203,8 @@ def measured(group: Group, checkout: Path) -> dict[str, Cell]:
     """What a group takes with the code of a checkout."""
     paths = os.pathsep.join([str(checkout), str(HERE)])
     done = subprocess.run(
-        [sys.executable, str(HERE / group.script), *group.arguments], cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
+        [sys.executable, str(HERE / group.script), *group.arguments],
+        cwd=ROOT, stdout=subprocess.PIPE, text=True, check=True,
         env={**os.environ, "PYTHONPATH": paths, "PYTHONSAFEPATH": "1"},
     )  # fmt: skip
     taken = json.loads(done.stdout.splitlines()[-1])

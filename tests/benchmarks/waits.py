@@ -2,8 +2,8 @@
 
     PYTHONPATH=CHECKOUT python tests/benchmarks/waits.py GROUP
 
-The last line is a JSON object, as that of `measures.py`. Only the front door and the commands of calib are used, and the
-studies are those of the checkout, so that a commit of other rooms and keys can stand beside the present one.
+The last line is a JSON object, as that of `measures.py`. Only the front door and the commands of calib are used, and
+the studies are those of the checkout, so that a commit of other rooms and keys can stand beside the present one.
 """
 
 from __future__ import annotations
@@ -70,9 +70,9 @@ def command(name: str, study: str, results: str, home: str) -> None:
     """A command of the checkout on its own study, into a folder of results, with a cache in another."""
     import calib
 
-    words = [sys.executable, "-m", "calib", name, f"studies/{study}", "--results", results, "--cache", f"{home}/cache"]
-    root = Path(calib.__file__).parents[1]
-    subprocess.run(words, cwd=root, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    words = [sys.executable, "-m", "calib", name, f"studies/{study}", "--results", results]
+    root, kept = Path(calib.__file__).parents[1], {**os.environ, "CALIB_CACHE": f"{home}/cache"}
+    subprocess.run(words, cwd=root, env=kept, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
 
 
 def of_spearman() -> Taken:
