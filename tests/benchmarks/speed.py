@@ -3,11 +3,10 @@
     python tests/benchmarks/speed.py [--before COMMIT] [--rows NAME ...] [--long] [--table FILE]
 
 ``--before`` is another commit of this repository, checked out into a temporary folder; it takes turns with this
-checkout, group by group, so that a busy machine slows both. Studies are those of this checkout on both sides, except in the rows of
-`waits.py`, which can be taken of commits of other rooms and keys too. Wall
-clock and processor time, the latter of all processes together, which are as many as by default; on a busy machine
-believe the processor time. ``--table`` names the CSV file; the Markdown table stands beside it. What takes long is
-measured on request.
+checkout, group by group, so that a busy machine slows both. Studies are those of this checkout on both sides, except in
+the rows of `waits.py`, which can be taken of commits of other rooms and keys too. Wall clock and processor time, the
+latter of all processes together, which are as many as by default; on a busy machine believe the processor time.
+``--table`` names the CSV file; the Markdown table stands beside it. What takes long is measured on request.
 """
 
 from __future__ import annotations
