@@ -99,7 +99,7 @@ def serve(path: Path, root: Path, port: int, browser: bool, say: Callable[[str],
 
 def _listening(port: int) -> socket.socket:
     """A socket of this computer alone; InputError for a port that is taken."""
-    # Only through a socket of this protocol asyncio sends small answers at once; others wait some 40 ms for the page.
+    # Only where the protocol is named does asyncio send at once; else each answer waits some 40 ms for the page.
     ears = socket.socket(socket.AF_INET, socket.SOCK_STREAM, socket.IPPROTO_TCP)
     try:
         ears.bind((LOOPBACK, port))
