@@ -112,6 +112,8 @@ def _row(
         row |= {"repeats": more, "what": f"the same test again, {more} repeats in all instead of {design.repeats}"}
     elif measurement.kind == "mode" and measurement.excitation is not None:
         row |= _of_mode(measurement.excitation)
+        if hung := in_prose(measurement.excitation.hung):
+            row["what"] = f"the mode that the {hung} adds, computed at {measurement.excitation.freq:.3g} Hz"
         row["repeats"] = max(design.repeats, _LEAST_REPEATS)
     elif measurement.kind == "sensor":
         row["sensors"] = f"as before, and {measurement.name}"

@@ -96,6 +96,7 @@ def test_what_hangs_on_the_structure_gets_an_accelerometer_of_its_own():
     mode = replace(MODE, excitation=MODE.excitation._replace(hung="brake_unit"))
     (r,) = ordered({MODE.name: 2.0}, (mode,)).to_dict("records")
     assert "accelerometer on the brake unit itself" in r["sensors"] and "on the brake unit itself" in r["excite"]
+    assert r["what"] == "the mode that the brake unit adds, computed at 10 Hz"
 
 
 def test_between_two_models_a_step_tells_odds():
