@@ -21,7 +21,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
-from calib.results.answer import names_in_words
+from calib.results.answer import in_prose, names_in_words
 
 _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 """First words of a text to look for that is a question."""
@@ -274,8 +274,8 @@ def elsewhere(
     if not known or not away[best] > min(known):
         return ""
     return (
-        f"The list of causes assumes this place. By the data alone, {best} fits best, {away[best]:.2g} m from there: "
-        "inspect both places."
+        f"The list of causes assumes where the {in_prose(chosen.names[0])} is. By the data alone, {best} fits best, "
+        f"{away[best]:.2g} m from there: inspect both places."
     )
 
 
