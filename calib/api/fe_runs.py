@@ -22,6 +22,7 @@ from calib.imports.matrices import ReadMatrices, read_matrices
 from calib.imports.runs import Terms, terms_of_runs
 from calib.measurement.modal import DIRECTIONS, MeasuredModes
 from calib.problem.parameter import Parameter
+from calib.structure.effects.terms import CONSTANT, term_name
 from calib.structure.model import StructuralModel
 from calib.structure.unit_system import SYSTEMS
 from calib.study.solver import Solver, read_unless_missing
@@ -221,13 +222,13 @@ def _scaled(terms: Terms, parameters: Sequence[Parameter], units: str) -> TermsB
     for kind, own in terms.matrices.items():
         out[kind] = {}
         for powers, matrix in own.items():
-            name = " ".join(n if power == 1 else f"{n}^{power}" for n, power in powers) or "constant"
+            name = term_name(dict(powers))
             scale = float(np.prod([nominal[n] ** -float(power) for n, power in powers]))
             by = {n: float(power) for n, power in powers}
             if not powers and kind == "stiffness":
                 by = {p.name: 0.0 for p in parameters if p.distribution == "fixed"}  # the deck needs their values
             out[kind][name] = (sp.coo_array(scale * matrix), by)
-        if kind != "damping" or len(out[kind]) > 1 or out[kind]["constant"][0].nnz:
+        if kind != "damping" or len(out[kind]) > 1 or out[kind][CONSTANT][0].nnz:
             continue
         out[kind] = {}
     return out

@@ -59,6 +59,40 @@ def test_nothing_dissipates_where_the_model_has_no_damping():
     assert "dissipation" in kinds and damping and not elastic & damping
 
 
+def from_runs(**stiffness):
+    """A chain whose matrices have the names that runs of a solver give them."""
+    terms = {name: (STIFF * spring(k), by) for k, (name, by) in enumerate(stiffness.items(), start=1)}
+    mass = {"constant": (MASS * np.eye(FLOORS), {}), "t": (MASS * np.eye(FLOORS), {"t": 1.0})}
+    parameters = [calib.Parameter(name, 1.0, 0.5, 2.0) for name in ("E", "t")]
+    dofs = [(k, "x") for k in range(1, FLOORS + 1)]
+    return calib.StructuralModel.from_matrices(terms, mass, dofs=dofs, parameters=parameters)
+
+
+def test_powers_of_a_thickness_are_its_parts_and_their_bending():
+    """A power by itself, such as ``E t^2``, is no part of a structure that anybody could find wrong."""
+    bent = {"E t": {"E": 1.0, "t": 1.0}, "E t^2": {"E": 1.0, "t": 2.0}, "E t^3": {"E": 1.0, "t": 3.0}}
+    model = from_runs(**{"constant": {}, "E": {"E": 1.0}, **bent})
+    found = {c.effect.title: c.builder.parts for c in compositions(model, [measured()], {}).plain if c.kind in (
+        "stiffness", "mass", "section")}  # fmt: skip
+    every = tuple(("stiffness", name) for name in bent)
+    assert found == {
+        "Stiffness of the parts that no parameter scales": (("stiffness", "constant"),),
+        "Stiffness of the parts that E scales": (("stiffness", "E"),),
+        "Stiffness of the parts of thickness t": every,
+        "Stiffness of the parts of thickness t in bending": every[-1:],
+        "Mass of the parts that no parameter scales": (("mass", "constant"),),
+        "Mass of the parts of thickness t": (("mass", "t"),),
+        "Section of the parts that no parameter scales": (("stiffness", "constant"), ("mass", "constant")),
+        "Section of the parts of thickness t": (*every, ("mass", "t")),
+    }
+
+
+def test_matrices_with_names_of_their_own_keep_them():
+    model = from_runs(walls={"E": 1.0}, floor={"t": 3.0})
+    titles = {c.effect.title for c in compositions(model, [measured()], {}).plain}
+    assert {"Stiffness of walls", "Stiffness of floor"} <= titles
+
+
 @pytest.mark.medium
 def test_names_that_are_taken_are_left_to_others():
     first = generic_effects(chain(), [measured()])

@@ -32,6 +32,7 @@ from calib.structure.effects.composed import (
 from calib.structure.effects.composition import Composition, Names, dynamic_factor
 from calib.structure.effects.perturbations import LEAST
 from calib.structure.effects.rigid_joints import RigidJoint, member_ends, supports
+from calib.structure.effects.terms import Terms, terms_of_runs
 from calib.structure.elongations import elongations
 from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, PartKind, StructuralModel
@@ -89,6 +90,9 @@ def of_parts(model: StructuralModel, names: Names, middle: float) -> Iterator[Co
     middle : float
         Of the measured band, Hz.
     """
+    if terms := terms_of_runs(() if model.parts else parts_of(model)):
+        yield from _of_terms(terms, names, middle)
+        return
     by_kind: dict[PartKind, list[Part]] = defaultdict(list)
     for part in parts_of(model):
         by_kind[part.kind].append(part)
@@ -101,6 +105,19 @@ def of_parts(model: StructuralModel, names: Names, middle: float) -> Iterator[Co
     for part in by_kind["stiffness"]:
         if part.name in masses:
             yield _changed("section", [("stiffness", part), ("mass", masses[part.name])], names, middle)
+
+
+def _of_terms(terms: Sequence[Terms], names: Names, middle: float) -> Iterator[Composition]:
+    """The same of matrices from runs, whose terms are no parts by themselves."""
+    for one in terms:
+        kind = one.parts[0][0]
+        yield _changed(kind, one.parts, names, middle, one)
+        if kind == "stiffness":
+            yield _changed("dissipation", one.parts, names, middle, one)
+    masses = {one.at: one for one in terms if one.parts[0][0] == "mass"}
+    for one in terms:
+        if one.parts[0][0] == "stiffness" and one.at in masses:
+            yield _changed("section", (*one.parts, *masses[one.at].parts), names, middle, one)
 
 
 def _alike(parts: Sequence[N]) -> Iterator[tuple[N, ...]]:
@@ -128,10 +145,12 @@ def _alike(parts: Sequence[N]) -> Iterator[tuple[N, ...]]:
             yield tuple(group)
 
 
-def _changed(kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, middle: float) -> Composition:
+def _changed(
+    kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, middle: float, terms: Terms | None = None
+) -> Composition:
     own = list(dict.fromkeys(part.name for _, part in parts))
-    at = names_in_words(own)
-    name = names.free(f"{kind} {_common(own)}")
+    at = names_in_words(own) if terms is None else terms.at
+    name = names.free(f"{kind} {_common(own) if terms is None else terms.name}")
     unit, lower, upper, size = "-", LEAST.get(kind, LEAST["stiffness"]), RULES.more, RULES.relative
     words = f"relative change of {at}"
     if kind == "dissipation":
@@ -142,7 +161,7 @@ def _changed(kind: str, parts: Sequence[tuple[PartKind, Part]], names: Names, mi
     build = ScaledParts(name, tuple((k, part.name) for k, part in parts), kind == "dissipation")
     effect = _part_effect(kind, at, magnitude, build)
     places = dict.fromkeys(part.place for _, part in parts if np.isfinite(part.place).all())
-    return Composition(effect, kind, at, tuple(places), len(own))
+    return Composition(effect, kind, at, tuple(places), len(own) if terms is None else 1)
 
 
 def _part_effect(kind: str, at: str, magnitude: Parameter, build: Builder, **more: Any) -> Effect:
