@@ -18,7 +18,7 @@ from calib.missing.effect_pairs import fit_pairs, no_worse, singles_from_pairs
 from calib.missing.explanation import SEVERAL, Explanation
 from calib.missing.granted import with_fault
 from calib.missing.hypotheses import Hypotheses
-from calib.missing.partial import minor_beside, minor_of
+from calib.missing.partial import minor_beside, minor_of, several_generic
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
 from calib.missing.restarts import led_astray, restarted, restarted_faults
@@ -223,7 +223,7 @@ class _Decision:
         needed = max(lead.singles[0].ln_evidence + second, self.unlike_effects(found))
         pairs = self.fits.settled(pairs, RULES.credible)
         pair = self.pair(pairs, needed, found.groups)
-        if not pair or minor_beside(found, lead.singles, pair[0]):
+        if not pair or several_generic(pair[0]) or minor_beside(found, lead.singles, pair[0]):
             return None
         adequacy = adequacy_of(self.fits, pair[0], beside(self.fits, pair[0], able))
         if not (adequate(self.fits, adequacy) and predicts(self.fits, pair[0], found.base)):
@@ -251,7 +251,7 @@ class _Decision:
         if steps is None or not steps.explains or minor_beside(found, lead.singles, steps.last.candidate_fit):
             return None
         last = steps.last
-        if last.candidate_fit.ln_evidence <= self.unlike_effects(found):
+        if several_generic(last.candidate_fit) or last.candidate_fit.ln_evidence <= self.unlike_effects(found):
             return None
         names = last.candidate_fit.names
         verdict = "two_effects" if len(names) == 2 else "several_effects"

@@ -60,6 +60,15 @@ def minor_beside(found: Explanation, singles: Sequence[CandidateFit], together: 
     return tuple(shares) if all(share < most for share in shares.values()) else ()
 
 
+def several_generic(together: CandidateFit) -> bool:
+    """Whether more than one effect of a fit is generic: then none of them is named.
+
+    Of hundreds that nobody listed, two imitate nearly any cause that is in no form of them, such as a thinner member a
+    soft joint with a soft support. Such a cause is likelier than two independent ones that happen to have a form each.
+    """
+    return sum(effect.generic for effect in together.effects) > 1
+
+
 def minor_of(found: Explanation, singles: Sequence[CandidateFit]) -> tuple[str, ...]:
     """The same of the end of a stepwise search that leaves nothing over; empty without one."""
     if found.steps is None or not found.steps.explains:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
+from calib.missing.partial import several_generic
 from calib.missing.steps import Rejected, Stopped
 
 STEPS, STEPS_ERRORS, REJECTED = "steps", "steps_errors", "steps_rejected"
@@ -78,8 +79,17 @@ def step_fits(found: Explanation) -> dict[str, CandidateFit]:
 
 def steps_sentence(found: Explanation) -> str:
     """What the search for several effects found where none is named, in words; empty without a search."""
-    if found.steps is None or found.names_something or found.steps.stopped == "adequate":
+    if found.steps is None or found.names_something:
         return ""
+    if found.steps.stopped == "adequate":
+        last = found.steps.last.candidate_fit
+        if found.minor or not several_generic(last):
+            return ""
+        together = " and ".join(effect.in_words for effect in last.effects)
+        return (
+            f"Together {together} would leave nothing; they are not named, since several causes that nobody listed can "
+            "imitate another one."
+        )
     return f"Effects were also taken in one after the other: {_STOPPED[found.steps.stopped]} ({REJECTED}.csv)."
 
 

@@ -67,6 +67,11 @@ class Candidate(Protocol):
         ...
 
     @property
+    def generic(self) -> bool:
+        """Whether it was composed of the model's own parts and points, listed by nobody."""
+        ...
+
+    @property
     def whole(self) -> bool:
         """Whether it is there wholly, at magnitude 1, or not at all."""
         ...
@@ -111,6 +116,7 @@ class WithMagnitude:
 
     magnitude: Parameter
     of_pair: bool = False
+    generic: bool = False
     whole: bool = False
 
     @property

@@ -54,6 +54,9 @@ class Effect(WithMagnitude):
         Names of the places at one of which it acts, such as ``("floor 1", "floor 2")``; see
         `calib.structure.anywhere.at_one_of`. It then has the nuisance parameter ``<name>_place``, an integer that
         counts them from 1, and a grid with a point for each. All of them count in the search.
+    generic : bool
+        Whether it was composed of the model's own parts and points instead of listed by somebody who knows what may be
+        missing. Of several effects that are named together at most one is.
     phrase : str
         Completes "The model lacks ...", such as ``a brake unit hung on the crossbar``; by default the title, quoted.
 
@@ -94,6 +97,7 @@ class Effect(WithMagnitude):
     told: Callable[[float], str] | None = None
     richer: Effect | None = None
     places: tuple[str, ...] = ()
+    generic: bool = False
 
     def __post_init__(self) -> None:
         place, p = f"effect {self.name}", self.magnitude

@@ -9,7 +9,9 @@ import pytest
 
 from calib.errors.errors import InputError
 from calib.missing.decision import Settings, decide
+from calib.missing.explanation import SEVERAL
 from calib.missing.settings import DEFAULT, too_few
+from calib.missing.steps_table import steps_sentence
 from calib.problem.joint import JointRows
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -144,6 +146,23 @@ def test_two_effects_are_named_together(toy):
             assert f.chosen.fit.values["E4"] < 0 and f.chosen_adequacy.passes(0.01)
             assert f.chosen.ln_evidence > f.singles[0].ln_evidence + 3
             assert any(len(t.effects) == 2 for t in f.candidate_fits) and all(len(t.effects) == 1 for t in f.singles)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("truth", [{"E0": 1.2, "E4": -1.2}, {"E0": 1.5, "E1": 1.2, "E4": -1.3}])
+def test_of_several_effects_that_are_named_together_at_most_one_is_generic(toy, truth):
+    """Nobody listed the others: they may imitate a cause that is in no form of them."""
+    made = toy(signed=("E4",), perturbations=6)
+    for generic in ("E0",), ("E0", "E4"):
+        own = tuple(replace(e, generic=e.name in generic) for e in made.effects)
+        found = replace(made, effects=own).explained(truth, 3)
+        several = [f for f in found if f.verdict in SEVERAL]
+        if len(generic) == 1:
+            assert len(several) >= 2
+            continue
+        assert not several and {f.verdict for f in found} <= {"partial", "none_explains"}
+        told = [words for f in found if (words := steps_sentence(f)).startswith("Together ")]
+        assert len(told) >= 2 and all("they are not named" in words for words in told)
 
 
 @pytest.mark.medium

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import scipy.sparse as sp
@@ -134,7 +134,7 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
     plain = _plain(model, measured, model.space.values, Names({*taken, *model.space.names}))
     elastic = isinstance(model, StructuralModel) and not model.is_damped
     kept = [c for c in plain if not (elastic and c.kind in DISSIPATING)]
-    out = tuple(c.effect for c in (_different(model, kept) if isinstance(model, StructuralModel) else kept))
+    out = tuple(replace(c.effect, generic=True) for c in (_different(model, kept) if isinstance(model, StructuralModel) else kept))
     if not out:
         raise InputError(
             f"no generic effects can be composed: {model.name} names no parts, and has no matrices", place="effects",
