@@ -208,6 +208,11 @@ class ModalFunctionModel(Short):
     # -- protocol of `calib.structure.modal_model.ModalModel` ----------------------------------------------------------
 
     @property
+    def by_differences(self) -> bool:
+        """Yes: a derivative costs two evaluations for each parameter."""
+        return True
+
+    @property
     def reducible(self) -> None:
         """None: there are no matrices to reduce."""
         return

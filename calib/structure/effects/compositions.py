@@ -134,7 +134,8 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
     plain = _plain(model, measured, model.space.values, Names({*taken, *model.space.names}))
     elastic = isinstance(model, StructuralModel) and not model.is_damped
     kept = [c for c in plain if not (elastic and c.kind in DISSIPATING)]
-    out = tuple(replace(c.effect, generic=True) for c in (_different(model, kept) if isinstance(model, StructuralModel) else kept))
+    kept = _different(model, kept) if isinstance(model, StructuralModel) else kept
+    out = tuple(replace(c.effect, generic=True) for c in kept)
     if not out:
         raise InputError(
             f"no generic effects can be composed: {model.name} names no parts, and has no matrices", place="effects",
