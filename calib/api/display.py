@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +20,7 @@ from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.errors.errors import InputError
 from calib.problem.joint import of_test, prefixed, stacked
-from calib.results.answer import LABEL
+from calib.results.answer import LABEL, Answer
 
 if TYPE_CHECKING:
     from calib.api.protocols import ProblemLike
@@ -132,11 +132,16 @@ class Compared(Displayed):
         """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
         several, out = len(self.by_test) > 1, dict[str, str]()
         for name, answer in self.by_test.items():
-            for label, said in answer.answer.labelled.items():
-                text = UNFITTED if said == FIT and not self.studies[name].model.space.free else said
+            for label, text in self.answer_of(name).labelled.items():
                 before = f"{out[label]} " if label in out else ""
                 out[label] = before + (of_test(name, text) if several else text)
         return {**out, "Evidence": ".sentences, .table; all in .by_test"}
+
+    def answer_of(self, test: str) -> Answer:
+        """The answer of one test; of a model without parameters none recommends a fit."""
+        answer = self.by_test[test].answer
+        unfitted = answer.then == FIT and not self.studies[test].model.space.free
+        return replace(answer, then=UNFITTED, command="") if unfitted else answer
 
     @property
     def entries(self) -> tuple[Entry, ...]:

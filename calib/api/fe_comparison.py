@@ -103,7 +103,9 @@ def compare_modes(
     model, partners = model_of_modes(computed, test.measured, test.node_limit)
     found = compared(_problem(model, test), None)
     by_test = {name: _with_own_numbers(answer, partners) for name, answer in found.by_test.items()}
-    notes = (*computed.notes, *(() if partners is None else (partners.sentence,)))
+    by_number = "Measured and computed nodes belong together by their numbers, since not both have coordinates."
+    matched = by_number if partners is None and test.measured.has_shapes else partners.sentence if partners else ""
+    notes = (*computed.notes, matched)
     return Compared(by_test, found.studies, tuple(note for note in notes if note))
 
 
@@ -138,7 +140,10 @@ def compare_files(
     found = compare_modes(modes, list(measured), **given)
     (answer,) = found.by_test.values()
     home = Results(into)
-    home.path.mkdir(parents=True, exist_ok=True)
+    try:
+        home.path.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise InputError(f"it is no folder ({fault.strerror})", place=into, remedy="name another one: --into") from None
     home.write_table("comparison", answer.table)
     if answer.comparison is not None and answer.comparison.measured.has_shapes:
         home.write_table("mac", answer.comparison.mac_table())
@@ -194,9 +199,11 @@ def model_of_modes(
             sensors.append(Sensor(node, direction, places.get(at)))
             index.append(rows[at, direction])
     if measured.has_shapes and not sensors:
+        lacking = " and ".join(side for side, known in (("measured", own), ("computed", places)) if not known)
+        remedy = "give those of the computed nodes as coordinates, those of the measured ones as sensors"
         raise InputError(
-            "no measured node has the number of a computed one", place="sensors",
-            remedy="give coordinates of both, or number them alike",
+            f"no measured node has the number of a computed one, and the {lacking} nodes have no coordinates",
+            place="sensors", remedy=f"{remedy}, or number them alike",
         )  # fmt: skip
     beyond = max((abs(node) for node in of), default=0) + 1
     taken = set(of.values())

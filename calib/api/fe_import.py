@@ -38,6 +38,10 @@ _NODES = 100
 """Nodes at which shapes are compared with those of the code."""
 _ALIKE = 0.01
 """Relative difference of the mass that moves in two directions that is worth a word."""
+_LOOSE, _LOOSE_SHARE = 6, 0.01
+"""Rows with mass and without stiffness that a model may have, such as those of a free mass: so many, or this share."""
+_NOTHING, _MOST = 1e-6, 0.5
+"""Sum of a row of the mass over that of its moduli that is none, and the share of such rows that is told."""
 _PARAMETER = "stiffness"
 
 
@@ -209,6 +213,7 @@ def import_matrices(
     }
     parameters = [Parameter(name, 1.0, 0.5, 1.5, "-", prior_sd=0.1) for name in factors.values()]
     model = model_of(read, terms, parameters, system.name, named[0].stem)
+    _require_stiffness(model)
     notes, warnings = _weighed(model, units)
     halves = [a.item for a in model.assumptions if a.value == "symmetric"]
     mirrored = (f"One triangle was given and has been mirrored: {', '.join(halves)}.",) if halves else ()
@@ -254,6 +259,23 @@ def _factors(names: Sequence[str]) -> dict[str, str]:
     return {name: re.sub(r"\W", "_", name) for name in names}
 
 
+def _require_stiffness(model: StructuralModel) -> None:
+    """InputError where many rows have mass and no stiffness: each would be a motion of 0 Hz."""
+    values = model.space.si(model.space.values)
+    stiff, inert = (abs(sp.csr_array(one)).sum(axis=1) for one in (model.stiffness(values), model.mass(values)))
+    loose = np.flatnonzero((stiff == 0) & (inert > 0))
+    if len(loose) > max(_LOOSE, _LOOSE_SHARE * model.n_dof):
+        raise InputError(
+            f"{len(loose)} of {model.n_dof} rows have mass and no stiffness, such as {_row_words(model, loose[0])}",
+            place=f"model {model.name}", remedy="is the file of the stiffness cut off, or of another model?",
+        )  # fmt: skip
+
+
+def _row_words(model: StructuralModel, k: int) -> str:
+    node, direction = model.dofs.node[k], DIRECTIONS[model.dofs.direction[k]]
+    return f"row {k + 1}" + (f" (node {model.labels[node]}, {direction})" if node >= 0 else "")
+
+
 def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The mass that moves in each direction, and what is odd in it."""
     inertia = sp.csr_array(model.mass(model.space.si(model.space.values)))
@@ -275,6 +297,13 @@ def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...]
     if units is None:
         others = ", ".join(f"{max(known) * s.mass:.4g} kg in {name}" for name, s in SYSTEMS.items() if name != "m-kg-N")
         words += f" No unit system is stated, and m-kg-N is taken; it would be {others}."
+    total, moved = abs(inertia), np.zeros((2, model.n_dof))
+    for k in range(3):
+        rigid = ((model.dofs.direction == k) & (model.dofs.node >= 0)).astype(float)
+        moved += np.where(rigid > 0, [np.abs(inertia @ rigid), total @ rigid], 0.0)
+    heavy = moved[1] > 0
+    if np.mean(moved[0][heavy] < _NOTHING * moved[1][heavy]) > _MOST:
+        warnings.append("Most rows of the mass resist no translation, as those of a stiffness do: are the two exchanged?")
     bare = int((inertia.diagonal() == 0).sum())
     notes = [words]
     if bare:
@@ -287,10 +316,13 @@ def _solved(model: StructuralModel, read: ReadMatrices) -> tuple[pd.DataFrame, t
     try:
         found = model.modes({}, min(MODES, model.n_dof))
     except EvaluationError as fault:
-        raise InputError(
-            f"its modes cannot be solved ({fault})", place=f"model {model.name}",
-            remedy="do stiffness, mass and rows belong to one run, and is the mass the mass?",
-        ) from None  # fmt: skip
+        diagonal = model.stiffness(model.space.si(model.space.values)).diagonal()
+        words, remedy = str(fault), "do stiffness, mass and rows belong to one run, and is the mass the mass?"
+        if (diagonal < 0).any():
+            k = int(np.argmin(diagonal))
+            words = f"the stiffness at {_row_words(model, k)} is {diagonal[k]:.4g}"
+            remedy = "correct the sign of the stiffness matrix"
+        raise InputError(f"its modes cannot be solved ({words})", place=f"model {model.name}", remedy=remedy) from None
     freq = np.asarray(found.natural_freq)
     rigid = sum(one.kind == "zero" for one in found.excluded)
     notes = (f"{count(rigid, 'rigid-body motion')}: the model is free.",) if rigid else ()

@@ -125,7 +125,7 @@ def write_comparison_page(found: Compared, path: Path) -> Path:
         answer = found.by_test[test.name]
         write_comparison(folder, answer, "before")
         _write_inputs(model, test, folder)
-        told = {"compare": ((*answer.sentences, *found.notes), answer.answer.plain)}
+        told = {"compare": ((*answer.sentences, *found.notes), found.answer_of(test.name).plain)}
         _write_record(_named(model, test), folder, told)
 
     return _page(pairs, path, write, lambda folder: _write_record(_all_named(pairs), folder, {}))

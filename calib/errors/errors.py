@@ -76,7 +76,8 @@ class InputError(ValueError):
     def _sentence(self, place: str | None) -> str:
         where = f"{place}: " if place else ""
         cure = f"; {self.remedy}" if self.remedy else ""
-        return f"{where}{self.problem}{cure}."
+        said = f"{where}{self.problem}{cure}"
+        return said if said.endswith("?") else f"{said}."
 
     def with_line(self, at: Place | None) -> InputError:
         """The same error with a line of a file to show; unchanged where it has one already or none is given."""

@@ -229,7 +229,9 @@ def _sorted_out(
     out: dict[Kind, dict[str, Stored]] = {kind: {} for kind in KINDS}
     left = []
     called = [(one, {one.name.lower(), file.name.lower(), file.stem.lower()}, file) for file, one in stored]
-    listed = ", ".join(dict.fromkeys(one.name for one, _, _ in called)) or "none"
+    if not called:
+        raise InputError("none of them holds a matrix", place="files", remedy="give those of stiffness and mass")
+    listed = ", ".join(dict.fromkeys(one.name for one, _, _ in called))
     for kind in KINDS:
         for name in chosen.get(kind, ()):
             found = [one for one, names, _ in called if name.lower() in names]

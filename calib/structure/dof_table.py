@@ -141,8 +141,8 @@ class DofTable:
             raise InputError(
                 f"{DIRECTIONS[direction[k]]} of node {labels[node[k]]} is named twice{more}",
                 place=f"{place}, row {k + 1}",
-                remedy='are these layers of a shell, which CalculiX makes a solid? then layers = "mean"; '
-                "else name every row once",
+                remedy="name every row once; for layers of a shell, which CalculiX makes a solid, give its .sti, .mas "
+                'and .dof to the import, or layers="mean"',
             )
         return out
 

@@ -100,8 +100,8 @@ def _checked(matrix: Array, dofs: DofTable, place: str) -> sp.csr_array:
         k = int(wrong[0])
         raise InputError(
             f"the entry at {dofs.words(int(out.row[k]))} and {dofs.words(int(out.col[k]))} is {out.data[k]}",
-            place=place,
-        )
+            place=place, remedy="let the code write finite numbers: did its run end as it should?",
+        )  # fmt: skip
     return sp.csr_array(out)
 
 

@@ -85,7 +85,9 @@ def _origin(results: StudyResults) -> str:
         return ""
     quick = ", a quick run" if any(a.get("quick") for a in results.analyses.values()) else ""
     version = last.get("versions", {}).get("calib", "")
-    what = "A fit from Python" if results.record.get("notebook") else f"Study {results.name}, analysed"
+    what = f"Study {results.name}, analysed"
+    if results.record.get("notebook"):
+        what = "A comparison made" if set(results.analyses) == {"compare"} else "A fit from Python"
     return f"{what} on {str(last.get('when', ''))[:10]} by calib {version}{quick}."
 
 
