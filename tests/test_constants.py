@@ -31,6 +31,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "problem/prior.py": "_LEAST _SAME",
     "inference/cmcf_equations.py": "RESONANT _RANK",
     "inference/constraints.py": "_EXACT",
+    "inference/linear_estimate.py": "_NEGLIGIBLE",
     "inference/identify.py": "_ZERO",
     "inference/freed.py": "_FAR",
     "inference/region.py": "ACTIVE",

@@ -246,3 +246,23 @@ def test_the_calibrated_solar_array_is_nearer_its_truth_and_told_to_be_misspecif
     # Resonances that are off by several widths are not linear in any local perturbation: no interval holds.
     assert not pd.read_csv(folder / "verdicts.csv")["identified"].any()
     assert not (folder / "unexplained_calibrated.csv").exists()
+
+
+@pytest.mark.slow
+def test_cross_model_equations_find_the_framed_array_within_their_own_standard_deviations(undrawn, tmp_path):
+    """Of another mesh, with noise, gains, phases and accelerometers; the second twin has moduli that nobody chose."""
+    made = module_of(ROOT / "studies/solar_panel_framed/make_twin.py")
+    array, rng = made.structure(), np.random.default_rng(2)
+    drawn = made.drawn(array, rng)
+    free = shutil.copytree(ROOT / "studies/solar_panel_framed", tmp_path / "free")
+    made.twin.write(made.twin.simulate(array, drawn, made.test(array, drawn), rng), free / "measured", "solar array")
+    own = json.loads((ROOT / "tests/truth/solar_panel_framed.json").read_text("utf-8"))["parameters"]
+    for study, truth in ((ROOT / "studies/solar_panel_framed", own), (free, drawn)):
+        assert cli.execute(["calibrate", str(study), "--results", str(tmp_path / "results")]) == 0
+        folder = tmp_path / "results" / study.name
+        verdicts = pd.read_csv(folder / "verdicts.csv").set_index("parameter")
+        assert summary(folder)["p_fit"] > 0.01 and verdicts.loc[list(truth), "identified"].all()
+        found = pd.read_csv(folder / "parameters.csv").set_index("parameter").loc[list(truth)]
+        off = found["value"] - pd.Series(truth)
+        assert (off.abs() < 0.02 * pd.Series(truth)).all() and (found["std"] < 0.02 * pd.Series(truth)).all()
+        assert (off / found["std"]).abs().max() < 2.5, off / found["std"]

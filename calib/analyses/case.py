@@ -34,10 +34,11 @@ from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome, named_responses, point_key
 from calib.execution.stage import Progress, silent, with_prefix
 from calib.experiment.test import ForwardProblem
-from calib.hypotheses.linear_start import linear_starts
+from calib.hypotheses.linear_start import estimate_by_equations, linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
 from calib.inference.genetic import GeneticSettings
 from calib.inference.integers import combinations
+from calib.inference.linear_estimate import LinearEstimate
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.inference.starts import Enough, UntilAgreed, never
@@ -226,10 +227,10 @@ class CaseFinder:
         basis, seconds = (None, self.seconds) if reduction is None else (reduction.path, None)
         return open_evaluator(self._only, self.workers, count, problem, basis, seconds)
 
-    def statistics_at(self, values: Mapping[str, float]) -> FitStatistics:
-        """The fit statistics at given values, without a fit."""
+    def statistics_at(self, values: Mapping[str, float], estimate: LinearEstimate | None = None) -> FitStatistics:
+        """The fit statistics at given values, without a fit; of a linear ``estimate`` where they come from one."""
         near = near_of(self.study, self.reductions()) if self.study.held_sd else None
-        return statistics_at(self.exact, Terms.of(self.study), values, near)
+        return statistics_at(self.exact, Terms.of(self.study), values, near, estimate)
 
     def mesh_doubt(self, found: FitStatistics) -> str:
         """See `calib.analyses.fit_statistics.mesh_doubt`; empty for a quick run."""
@@ -269,15 +270,15 @@ class CaseFinder:
             Where they cannot be posed.
         """
         started, study, exact = time.perf_counter(), self.study, self.exact
-        found = linear_starts(exact, study.search_space.values)
-        if not found:
+        found = estimate_by_equations(exact, study.search_space.values)
+        if found is None:
             raise InputError(
-                "the cross-model equations cannot be posed",
+                "the cross-model equations cannot be posed, or have no solution",
                 place=study.place("calibration", "method"),
                 remedy="measure FRFs with a response at the place of every force, or choose another method",
             )
-        statistics, steps = self.statistics_at(found[0]), Steps()
-        steps(1, 1, sum(criteria(self.exact, found[0])))
+        statistics, steps = self.statistics_at(found.values, found), Steps()
+        steps(1, 1, sum(criteria(self.exact, found.values)))
         seconds = time.perf_counter() - started
         result = CaseResult.fitted(cases[0].name, statistics.values, self.exact.counts, steps.table(), seconds)
         yield self.reported(result, statistics)

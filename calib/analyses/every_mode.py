@@ -13,6 +13,7 @@ from calib.analyses.fit_statistics import FitStatistics
 from calib.correlation.modal.comparison import Comparison
 from calib.execution.outcome import named_responses
 from calib.hypotheses.verify import errors_of, std_behind
+from calib.inference.considered import EQUATION_ERRORS
 from calib.missing.adequacy import contradicting
 from calib.missing.data_words import GROUPS
 from calib.problem.degrees_of_freedom import p_value
@@ -110,12 +111,15 @@ def errors_at(study: LoadedStudy, values: Mapping[str, float], ended: FitStatist
     """Errors of a study's model by group of data, at fitted values of the selected parameters; see `errors_of`.
 
     ``ended`` is the fit, of this test or of several. The used data of one test are tested as the fit is: with the
-    errors of held parameters.
+    errors of held parameters. Values of the cross-model equations err more than these groups count, so that no other
+    group is tested.
     """
     joint, active = (None, frozenset[str]()) if ended is None else (ended.part(study.test), ended.active)
     pair, whole, space = study.pair, study.whole_problem(), study.search_space
     table = errors_of(pair, whole, study.unseen, space, values, study.held_sd, joint, active)
     used = table["group"] == "fit"
+    if ended is not None and (ended.considered["parameter"] == EQUATION_ERRORS).any():
+        table = table.assign(p=table["p"].where(used))
     if ended is None or not ended.held_squares or len(ended.by_test):
         return table
     expected = np.sqrt(table.loc[used, "expected"] ** 2 + ended.held_squares / table.loc[used, "rows"])

@@ -24,6 +24,7 @@ from calib.inference.freed import beside_data, freed, unabsorbed
 from calib.inference.gauss_newton import FitResult
 from calib.inference.identify import Identifiability, identify, posterior, prediction_interval, with_held
 from calib.inference.joint_part import COLUMNS, JointPart, joint_parts, std_by_test
+from calib.inference.linear_estimate import LinearEstimate, Tested
 from calib.inference.region import active_limits
 from calib.inference.rules import RULES
 from calib.inference.verdicts import integer_std, parameter_verdicts
@@ -280,10 +281,11 @@ class FitStatistics:
 
 
 def statistics_at(
-    problem: FitProblem, terms: Terms, values: Mapping[str, float], near: Near | None = None
-) -> FitStatistics:
-    """Fit statistics at given values, without a fit."""
-    return statistics_of(problem, terms, problem.space.complete(values), None, {}, True, near=near)
+    problem: FitProblem, terms: Terms, values: Mapping[str, float], near: Near | None = None,
+    estimate: LinearEstimate | None = None,
+) -> FitStatistics:  # fmt: skip
+    """Fit statistics at given values, without a fit; ``estimate`` is what they come from, if known."""
+    return statistics_of(problem, terms, problem.space.complete(values), None, {}, True, near=near, estimate=estimate)
 
 
 class Near(NamedTuple):
@@ -309,10 +311,12 @@ def statistics_of(
     complete: bool,
     ends: tuple[FitResult, ...] = (),
     near: Near | None = None,
+    estimate: LinearEstimate | None = None,
 ) -> FitStatistics:
     """Fit statistics at some values; ``fit`` is the fit that led there, ``ends`` are those from all starts.
 
     ``near`` serves the changes by held parameters, of which a model of full order would have to be solved many times.
+    A linear ``estimate`` has standard deviations of its own, and the model may fit anywhere within them.
     """
     space, held_sd = problem.space, terms.held_sd
     names = tuple(p.name for p in space.free if not p.integer)
@@ -328,9 +332,13 @@ def statistics_of(
     active = active_limits(space, names, values, multipliers(space, names, values, descent))
     mesh = terms.mesh_at(values, len(vector))
     own_held, own_constraints = held, constraints
-    held, constraints = np.hstack([held, mesh]), constraints.beside(mesh.shape[1])
-    uncertain = np.hstack([own_rows, mesh])
-    at, added = freed(space, end, uncertain, held_sd, constraints), unabsorbed(end, uncertain, constraints)
+    held = np.hstack([held, mesh])
+    errors = problem.shared_errors  # unknown to the test of the fit, where they count at each row by itself
+    extra = estimate.beyond_least_squares(end, np.hstack([held, errors])) if estimate else vector[:, None][:, :0]
+    constraints = constraints.beside(mesh.shape[1])
+    tested = Tested(end, np.hstack([own_rows, mesh]), constraints)
+    tested = tested if estimate is None else estimate.tested(*tested)
+    at, added = freed(space, tested.at, tested.uncertain, held_sd, tested.constraints), unabsorbed(*tested)
     dof = effective_dof(at.slope, at.prior_sd, sum(problem.fitted_factors.values()))
     kinds, modes = goodness(at, problem)
     p_fit, birge = overall(kinds, modes), misfit_factor(kinds, modes, terms.alpha)
@@ -338,8 +346,8 @@ def statistics_of(
         name: integer_std(numbers, misfits / birge**2, space[name].value, space[name].prior_width)
         for name, (numbers, misfits) in profiles.items()
     }
-    errors = problem.shared_errors  # unknown to the test of the fit, where they count at each row by itself
-    held, constraints = np.hstack([held, errors]), constraints.beside(errors.shape[1])
+    held = np.hstack([held, birge * extra, errors])
+    constraints = constraints.beside(extra.shape[1] + errors.shape[1])
     identification = identify(
         space, names, slope, values=values, held=held, birge=birge, searched=fit is None, constraints=constraints
     )
@@ -362,7 +370,9 @@ def statistics_of(
         birge=birge, identification=identification, profiles=profiles, whole=whole, complete=complete,
         predictions=predictions, fit=fit, ends=ends, suspects=suspected,
         assumed=terms.assumed, by_test=by_test, parts=parts, active=active, held_by=held_by,
-        considered=considered_table(space, end, held, held_sd, constraints, birge, terms.mesh_sd, errors.shape[1]),
+        considered=considered_table(
+            space, end, held, held_sd, constraints, birge, terms.mesh_sd, errors.shape[1], extra.shape[1]
+        ),
         considered_misfit=float(at.residual @ at.residual),
         held_squares=float(np.sum(added**2)),
     )  # fmt: skip

@@ -17,6 +17,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
+from calib.inference.linear_estimate import LinearEstimate, joined
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
 from calib.problem.prior import Prior
@@ -38,7 +39,12 @@ _INDEPENDENT = 1e-8
 
 
 def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[str, float]) -> dict[str, float] | None:
-    """Values from which a fit of FRFs starts.
+    """Values from which a fit of FRFs starts: those of `linear_estimate`, or how far it came."""
+    return _solved(residual, space, values)[0]
+
+
+def linear_estimate(residual: FRFResidual, space: ParameterSpace, values: Mapping[str, float]) -> LinearEstimate | None:
+    """The solution of the linear cross-model equations, and how errors of the data change it.
 
     Parameters
     ----------
@@ -52,19 +58,26 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
 
     Returns
     -------
-    dict or None
-        All parameters; None where the equations cannot be posed: a reference without a response at the same place,
-        no line on which every function was measured, or sensors that measure the same motion.
+    LinearEstimate or None
+        None where the equations cannot be posed: a reference without a response at the same place, no line on which
+        every function was measured, or sensors that measure the same motion; or where they have no solution.
     """
+    return _solved(residual, space, values)[1]
+
+
+def _solved(
+    residual: FRFResidual, space: ParameterSpace, values: Mapping[str, float]
+) -> tuple[dict[str, float] | None, LinearEstimate | None]:
+    """Where the linearisations lead, and the estimate where the last of them has a solution."""
     problem = residual.problem
     own, measured = problem.loaded_model, _near_resonances(problem.measured)
     model = own.whole
     names = [p.name for p in space.free if not p.integer and p.name in model.space]
     if not names:
-        return None
+        return None, None
     equations = _equations_of(model, measured)
     if equations is None:
-        return None
+        return None, None
     at_sensors, receptance = equations
     lower, upper = (np.array([getattr(space[name], end) for name in names]) for end in ("lower", "upper"))
     point = {name: value for name, value in values.items() if name in model.space}
@@ -84,11 +97,16 @@ def linear_start(residual: FRFResidual, space: ParameterSpace, values: Mapping[s
                 -Prior.of(space).residual(point, names),
             )
         except (EvaluationError, InputError):
-            break
+            return {**values, **point}, None
         steps = zip(names, here.tolist(), (found.changes[-1] * sd).tolist(), strict=True)
         moved = np.clip([space[name].moved(value, step) for name, value, step in steps], lower, upper)
         point.update(zip(names, moved.tolist(), strict=True))
-    return {**values, **point}
+    slope = np.zeros((len(names), *problem.measured.values.shape), dtype=complex)
+    factor = motion_factor(problem.measured.quantity, receptance.freq)[:, None, None]
+    slope[:, np.searchsorted(problem.measured.freq, receptance.freq)] = sd[:, None, None, None] * found.slope / factor
+    prior_gain = sd[:, None] * found.prior_slope * EQUATION_ERROR
+    found_values = {**values, **point}
+    return found_values, LinearEstimate(found_values, tuple(names), residual.gain(slope), prior_gain)
 
 
 def has_linear_start(pair: object) -> TypeGuard[FRFResidual]:
@@ -103,13 +121,37 @@ def linear_starts(
 
     Each test is solved alone; a parameter of several starts from the last of them.
     """
-    parts = problem.parts.values() if isinstance(problem, JointProblem) else (problem,)
     found: dict[str, float] = {}
-    for part in parts:
+    for part in _parts(problem):
         if has_linear_start(part.pair):
-            own = {name: value for name, value in values.items() if name in part.pair.space}
-            found |= linear_start(part.pair, part.space, part.pair.space.complete(own)) or {}
+            found |= linear_start(part.pair, part.space, _own(part, values)) or {}
     return ({name: found.get(name, value) for name, value in values.items()},) if found else ()
+
+
+def estimate_by_equations(
+    problem: PairProblem[Any] | JointProblem, values: Mapping[str, float]
+) -> LinearEstimate | None:
+    """The linear estimate of all tests of FRFs, each solved alone; None where there is no such test or one has none."""
+    estimates, rows, begin = list[LinearEstimate](), list[slice](), 0
+    for part in _parts(problem):
+        count = len(part.pair.rows)
+        if has_linear_start(part.pair):
+            found = linear_estimate(part.pair, part.space, _own(part, values))
+            if found is None:
+                return None
+            estimates.append(found)
+            rows.append(slice(begin, begin + count))
+        begin += count
+    return joined(estimates, values, rows, begin) if estimates else None
+
+
+def _parts(problem: PairProblem[Any] | JointProblem) -> tuple[PairProblem[Any], ...]:
+    return tuple(problem.parts.values()) if isinstance(problem, JointProblem) else (problem,)
+
+
+def _own(part: PairProblem[Any], values: Mapping[str, float]) -> dict[str, float]:
+    """Values of the parameters of one test."""
+    return dict(part.pair.space.complete({name: value for name, value in values.items() if name in part.pair.space}))
 
 
 def _near_resonances(measured: MeasuredFRFs) -> MeasuredFRFs:

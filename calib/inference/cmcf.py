@@ -50,6 +50,11 @@ class CmcfResult:
     converged : bool
     builds : int
         How often the matrix A of the equations was built.
+    slope : ndarray (n_changes, n_lines, n_masters, n_references)
+        Derivative of theta by the receptance, see `calib.inference.cmcf_equations.Equations.slope`: to first order, the
+        changes being small.
+    prior_slope : ndarray (n_changes, n_prior)
+        Derivative of theta by the mean of the prior; no columns without one.
     """
 
     names: tuple[str, ...]
@@ -57,6 +62,8 @@ class CmcfResult:
     freq: np.ndarray
     converged: bool
     builds: int
+    slope: np.ndarray
+    prior_slope: np.ndarray
 
     @property
     def values(self) -> dict[str, float]:
@@ -122,7 +129,11 @@ def cmcf(
         if np.all(np.abs(freq[-1] - freq[-2]) <= settings.tolerance * freq[-2]):
             converged = True
             break
-    return CmcfResult(tuple(c.name for c in model.changes), np.array(path), np.array(freq), converged, builds)
+    slope = equations.slope(reduced.dynamic(measured.freq), len(measured.references))
+    return CmcfResult(
+        tuple(c.name for c in model.changes), np.array(path), np.array(freq), converged, builds, slope,
+        equations.prior_slope,
+    )  # fmt: skip
 
 
 def require_positive_factors(changes: Sequence[Change], theta: np.ndarray) -> None:

@@ -296,6 +296,26 @@ class Equations:
         rows = np.einsum("ipm,jmq,ij->ijpq", self.left, imbalance, self.weight, optimize=True).reshape(1, -1)
         return np.asarray(self.inverse @ np.concatenate([_real(rows, self.is_complex)[0], -self.prior @ off]))
 
+    @property
+    def prior_slope(self) -> np.ndarray:
+        """Derivative of the solution by the mean of the prior, (n_changes, n_prior)."""
+        return np.asarray(self.inverse[:, self.inverse.shape[1] - len(self.prior) :] @ self.prior)
+
+    def slope(self, dynamic: np.ndarray, n_references: int) -> np.ndarray:
+        """Derivative S of the solution by the receptance, (n_changes, n_lines, n_masters, n_references), complex.
+
+        An error dH* changes theta by ``Re sum(S dH*)``: the residual ``W_i (I_Q - Z_s H*)`` by ``-W_i Z_s dH*``. Where
+        the equations have no imaginary part dH* has none either. ``dynamic`` (n_lines, n_masters, n_masters) is Z_s of
+        the solution.
+        """
+        shape = (len(self.inverse), len(self.left), len(dynamic), self.left.shape[1], n_references)
+        count = int(np.prod(shape[1:]))
+        inverse = self.inverse[:, :count].astype(complex)
+        if self.is_complex:
+            inverse -= 1j * self.inverse[:, count : 2 * count]
+        weighed = np.einsum("nijpq,ij,ipm->njmq", inverse.reshape(shape), self.weight, self.left, optimize=True)
+        return np.asarray(-np.einsum("njmq,jmk->njkq", weighed, dynamic, optimize=True))
+
 
 def complex_with(base: Reduced, measured: MeasuredReceptance) -> bool:
     """Whether the equations have an imaginary part: the model or a change of it is damped, or the receptance."""

@@ -262,6 +262,7 @@ def considered_table(
     birge: float = 1.0,
     mesh_sd: float | None = None,
     shared: int = 0,
+    equations: int = 0,
 ) -> pd.DataFrame:
     """What each held parameter adds to the standard deviation of the fitted one that it affects most.
 
@@ -269,9 +270,9 @@ def considered_table(
     ----------
     space : ParameterSpace
     at : At
-    held : ndarray (n_rows, n_held + n_meshes + n_shared)
-        `HeldChanges.of_estimates`, and changes by one standard deviation of the errors of meshes, and of those that
-        rows share.
+    held : ndarray (n_rows, n_held + n_meshes + n_equations + n_shared)
+        `HeldChanges.of_estimates`, and changes by one standard deviation of the errors of meshes, of what a linear
+        estimate errs by beyond least squares, and of those that rows share.
     held_sd : mapping from str to float
     constraints : ConstraintRows
     birge : float
@@ -280,6 +281,8 @@ def considered_table(
         Standard deviation of the errors of meshes, over the change to a finer mesh.
     shared : int
         Number of errors that rows share; they are told together.
+    equations : int
+        Number of directions in which a linear estimate errs more than least squares; told together too.
 
     Returns
     -------
@@ -291,11 +294,12 @@ def considered_table(
     rows = []
     slope = np.vstack([at.slope / birge, constraints.slope])
     alone = posterior(at.names, slope, at.prior_sd)
-    single = held.shape[1] - shared
+    single = held.shape[1] - shared - equations
     meshes = [(MESH_ERROR, mesh_sd or 0.0)] * (single - len(held_sd))
-    together = [(SHARED_ERRORS, 1.0)] * (shared > 0)
-    for k, (name, sd) in enumerate([*held_sd.items(), *meshes, *together]):
-        own = slice(k, k + 1 if k < single else None)
+    each = [(name, sd, slice(k, k + 1)) for k, (name, sd) in enumerate([*held_sd.items(), *meshes])]
+    for name, begin, count in ((EQUATION_ERRORS, single, equations), (SHARED_ERRORS, single + equations, shared)):
+        each += [(name, 1.0, slice(begin, begin + count))] * (count > 0)
+    for k, (name, sd, own) in enumerate(each):
         h = np.vstack([held[:, own] / birge, constraints.held[:, own]])
         shift = np.sqrt(np.sum((alone.covariance @ (slope.T @ h)) ** 2, axis=1))
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -316,6 +320,10 @@ def considered_table(
         elif k < single:
             value, unit = 0.0, "-"
             words = f"The error of the mesh, ± {sd:.3g} times the change to a finer one, {grows}: refine the mesh."
+        elif name == EQUATION_ERRORS:
+            value, unit = 0.0, "-"
+            words = f"That the cross-model equations weigh data otherwise than least squares {grows}: continue with "
+            words += 'least squares (method = "gauss-newton").'
         else:
             value, unit = 0.0, "-"
             words = f"The accuracy that is claimed, where all lines share it at a resonance, {grows}: fit it along, as "
@@ -327,6 +335,8 @@ def considered_table(
 
 MESH_ERROR = "mesh_error"
 """What the table calls the error of a mesh."""
+EQUATION_ERRORS = "equation_errors"
+"""What the table calls the errors of a linear estimate that least squares do not have."""
 SHARED_ERRORS = "resonance_errors"
 """What the table calls the errors that rows share."""
 

@@ -109,6 +109,14 @@ class FRFResidual:
         turned = np.swapaxes(functions, -3, -1)[..., np.swapaxes(self._known, 0, -1)]
         return np.concatenate([turned.real, turned.imag], axis=-1)
 
+    def gain(self, slope: np.ndarray) -> np.ndarray:
+        """Changes by one standard deviation of every row, (n, n_rows), of numbers that depend on the measured FRFs.
+
+        ``slope`` (n, n_freq, n_responses, n_references), complex, are their derivatives S: an error dH changes them by
+        ``Re sum(S dH)``.
+        """
+        return np.asarray(self._stacked(np.conj(slope) * self._std))
+
     @cached_property
     def std(self) -> np.ndarray:
         """Standard deviation of every row, (n_rows,), in the unit of the quantity."""
