@@ -121,6 +121,19 @@ def test_a_thread_that_never_ends_keeps_no_process():
     assert child(0.0, work=work) == (3, "the answer\n", f"calib: {interrupt.LEFT_RUNNING}\n")
 
 
+def test_a_process_that_is_only_slow_to_end_has_left_nothing_running():
+    """As on a busy machine: the words would send a user to look for a fault of the model."""
+    work = ("import atexit", "atexit.register(lambda: (time.sleep(1.5), say('all closed')))", "say('the answer')")
+    found = child(1.0, work=(*work, "interrupt.leave(3)", "raise SystemExit(3)"))
+    assert found == (3, "the answer\nall closed\n", "")
+
+
+def test_a_daemon_thread_keeps_no_process_and_is_not_told():
+    work = [line.format(first="pass").replace("never_ends)", "never_ends, daemon=True)") for line in THREAD]
+    work[-1] = "interrupt.leave(0)"
+    assert child(1.0, work=work) == (0, "the answer\n", "")
+
+
 def test_an_interrupt_after_the_answer_ends_the_process():
     # When the main part is over; again, since Python misses a signal just before it begins to wait for a thread.
     first = "threading.main_thread().join()\n    while not time.sleep(0.01): os.kill(os.getpid(), signal.SIGINT)"

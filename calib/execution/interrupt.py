@@ -28,6 +28,10 @@ PATIENCE = 5.0
 END_REQUESTS = tuple(getattr(signal, name) for name in ("SIGTERM", "SIGHUP", "SIGBREAK") if hasattr(signal, name))
 """Signals by which a batch system, a shutdown or a closed terminal ends a command: handled as Ctrl-C."""
 LEFT_RUNNING = "the model has left running what does not end by itself; it was ended"
+TURN = 0.05
+"""Seconds of one turn of a wait; see `_sleep`."""
+SLOW = 12
+"""Times as long as `PATIENCE` that a process may take to end of which nothing is left running."""
 LOOK = 0.1
 """Seconds between two checks of whether the raised interrupt is still being handled."""
 
@@ -131,15 +135,36 @@ def leave(code: int) -> None:
 
 
 def end_within(seconds: float, code: int, words: str = "") -> None:
-    """End this process with a code unless it has ended by then; ``words`` go to the error stream."""
+    """End this process with a code unless it has ended by then; ``words`` go to the error stream.
+
+    Words say that something is left running. Where nothing is, the process is only slow, as on a busy machine: it has
+    `SLOW` times as long, and ends without them.
+    """
 
     def end() -> None:
-        time.sleep(seconds)
-        with contextlib.suppress(OSError):
-            os.write(2, words.encode())
+        _sleep(seconds)
+        left = _left_running()
+        if words and not left:
+            _sleep(SLOW * seconds)
+            left = _left_running()
+        if left:
+            with contextlib.suppress(OSError):
+                os.write(2, words.encode())
         os._exit(code)
 
     threading.Thread(target=end, daemon=True).start()
+
+
+def _sleep(seconds: float) -> None:
+    """Sleep in short turns, each of which takes longer where the machine is busy, as all that is waited for does."""
+    for _ in range(round(seconds / TURN)):
+        time.sleep(TURN)
+
+
+def _left_running() -> bool:
+    """Whether a thread or a process is running for which Python waits at its end."""
+    threads = (one for one in threading.enumerate() if not one.daemon and one is not threading.main_thread())
+    return any(threads) or any(not child.daemon for child in multiprocessing.active_children())
 
 
 class Following:
