@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass
 
 from calib.inference.rules import WIDE
@@ -81,7 +82,10 @@ def local_perturbation(candidate_fit: CandidateFit, of: Candidate | None = None)
 
 
 def fault_words(candidate_fit: CandidateFit, of: Candidate | None = None) -> str:
-    """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: -12 to -8 %)``."""
+    """A fitted fault of the measurement in words, such as ``sensor 12y reads 10 % low (95 %: 8 to 12 %)``.
+
+    The interval has the sign of the number that the words state: of what is low, late or turned away a size.
+    """
     found = local_perturbation(candidate_fit, of)
     if found.effect.told is None:
         return found.in_words
@@ -89,9 +93,16 @@ def fault_words(candidate_fit: CandidateFit, of: Candidate | None = None) -> str
     factor, display_unit = (100.0, "%") if unit == "-" else (1.0, unit)
     value, first, last = (found.effect.as_told(number) for number in (found.value, found.low, found.high))
     low, high = sorted((first, last))
+    told = found.effect.told(value)
     if not low <= value <= high:  # beyond an infinite number
-        return found.effect.told(value)
+        return told
+    if value < 0 and _NUMBER.findall(told) == _NUMBER.findall(found.effect.told(-value)):  # a size with its sense
+        low, high = -high, -low
     width = factor * (high - low)
     places = max(1 - math.floor(math.log10(width)), 0) if math.isfinite(width) and width > 0 else 2
     ends = " to ".join(f"{factor * end:.{places}f}" for end in (low, high))
-    return f"{found.effect.told(value)} (95 %: {ends} {display_unit})"
+    return f"{told} (95 %: {ends} {display_unit})"
+
+
+_NUMBER = re.compile(r"(?<!\w)-?\d\S*")
+"""Of words; what lies the other way has the same ones where they state a size with its sense, such as ``10 % low``."""

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -342,13 +344,13 @@ def on_measurement(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
 def _faults_together(found: Explanation) -> VerdictWords:
     """Several faults of the measurement, or one that is needed beside others, with nothing left over."""
     phrases = [fault_words(one, fault) for fault, one in found.faulty]
-    checks = " ".join(dict.fromkeys(with_full_stop(fault.look_for) for fault, _ in found.faulty))
+    checks = _checks([fault for fault, _ in found.faulty])
     after = found.base_adequacy if found.fault is None else found.fault_adequacy
     assert after is not None
     them = "it" if len(phrases) == 1 else "them"
     return VerdictWords(
         f"The measurement is what does not fit: {'; and '.join(phrases)}. {instead_of_faults(found)}".strip(),
-        f"Each is needed beside the others. {fit_in_short(after, found.alpha, them)}",
+        f"Each is needed beside the other{'s' if len(phrases) > 2 else ''}. {fit_in_short(after, found.alpha, them)}",
         f"{checks} Correct the measurement, or take it out, before the model is changed; nothing is added to it.",
         (misfit_words(found),),
     )
@@ -368,7 +370,17 @@ def check_faults(found: Explanation) -> str:
     """What to check of the measurement, for the faults that are told beside effects; empty without any."""
     if not (found.granted and found.names_something):
         return ""
-    return " ".join(dict.fromkeys(with_full_stop(fault.look_for) for fault in found.granted))
+    return _checks(found.granted)
+
+
+def _checks(faults: Sequence[Candidate]) -> str:
+    """What to check of several faults of the measurement, each check once, in the plural where several need it."""
+    asked = Counter(with_full_stop(fault.look_for) for fault in faults)
+    return " ".join(_PLURAL.sub(lambda own: _OF_SEVERAL[own[0]], one) if n > 1 else one for one, n in asked.items())
+
+
+_OF_SEVERAL = {"its": "their", "it is": "they are", "it sits": "they sit"}
+_PLURAL = re.compile(r"\b(?:it sits|it is|its)\b")
 
 
 def instead_of_faults(found: Explanation) -> str:

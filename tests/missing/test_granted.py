@@ -1,6 +1,7 @@
 """Effects and faults of the measurement are found together."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ from calib.missing.decision import decide
 from calib.missing.facts import Places
 from calib.missing.findings import correction_offered
 from calib.missing.tables import faults_table, pull_table
+from calib.missing.verdict_words import _checks
 from tests.missing.verdict_cases import text_of
 
 pytestmark = pytest.mark.usefixtures("fewer_samples")
@@ -40,6 +42,13 @@ def test_effects_and_faults_are_told_together(faulty, truth, verdict):
     text = text_of(found)
     assert all(f"{name}, about" in text for name in told(found)) and "measurement" in text
     assert "something is left" not in text and "stands in for something else" not in text
+
+
+def test_what_to_check_of_several_is_in_the_plural():
+    gain, axis = "Check its calibration, its mounting and its sign.", "Check how it is mounted."
+    faults = [SimpleNamespace(look_for=text) for text in (gain, axis, gain)]
+    assert _checks(faults[1:]) == f"{axis} {gain}"
+    assert _checks(faults) == f"Check their calibration, their mounting and their sign. {axis}"
 
 
 def test_an_effect_alone_grants_no_fault(faulty):
