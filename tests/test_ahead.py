@@ -9,7 +9,7 @@ import pytest
 
 import calib
 from calib.errors.errors import EvaluationError
-from calib.execution.ahead import ask, is_collecting, points_shared, together
+from calib.execution.ahead import ask, evaluated_together, is_collecting, points_shared
 from calib.problem.differences import central_jacobian
 
 
@@ -36,7 +36,7 @@ class Kept:
 def test_what_computations_ask_for_is_one_batch():
     function = Kept()
     with points_shared():
-        assert together([lambda x=x: function(x) for x in (1.0, 2.0, 3.0)])
+        assert evaluated_together([lambda x=x: function(x) for x in (1.0, 2.0, 3.0)])
         assert not is_collecting()
     assert function.batches == [[1.0, 2.0, 3.0]] and not function.calls
     assert [function(x) for x in (1.0, 2.0, 3.0)] == [1.0, 4.0, 9.0] and not function.calls
@@ -45,8 +45,8 @@ def test_what_computations_ask_for_is_one_batch():
 def test_one_that_asks_twice_takes_two_batches_and_known_points_none():
     function = Kept(fails=lambda x: x == 2.0)
     with points_shared():
-        together([lambda x=x: function(x) + function(x + 10) for x in (1.0, 2.0)])
-        together([lambda: function(1.0)])
+        evaluated_together([lambda x=x: function(x) + function(x + 10) for x in (1.0, 2.0)])
+        evaluated_together([lambda: function(1.0)])
     assert function.batches == [[1.0, 2.0], [11.0]]
 
 
@@ -54,19 +54,19 @@ def test_within_another_set_the_points_are_left_to_that_one():
     function = Kept()
 
     def inner(at):
-        together([lambda x=x: function(at + x) for x in (0.1, 0.2)])
+        evaluated_together([lambda x=x: function(at + x) for x in (0.1, 0.2)])
         return function(at)
 
     with points_shared():
-        together([lambda: inner(1.0), lambda: inner(2.0)])
+        evaluated_together([lambda: inner(1.0), lambda: inner(2.0)])
     assert function.batches[0] == [1.1, 1.2, 2.1, 2.2]
 
 
 def test_without_sharing_or_a_function_that_keeps_results_nothing_is_run_ahead():
     function, run = Kept(), []
-    assert not together([lambda: function(1.0)]) and not function.batches
+    assert not evaluated_together([lambda: function(1.0)]) and not function.batches
     with points_shared():
-        assert not together([lambda k=k: run.append(k) for k in range(3)])
+        assert not evaluated_together([lambda k=k: run.append(k) for k in range(3)])
     assert run == [0]
 
 

@@ -31,7 +31,7 @@ def test_it_is_imported_calibrated_and_goes_back(tmp_path):
     found = calib.import_matrices(tmp_path / "frame", to=tmp_path / "matrices")
     assert not found.warnings and found.modes["freq_error"].abs().max() < 1e-4 and found.modes["mac"].min() > 0.9999
     study = calib.Study.load(tmp_path / "matrices", results=tmp_path / "results", progress=False)
-    fitted = steps.calibrated(study)
+    fitted = steps.calibrate_step(study)
     assert fitted.best.statistics.fits is False  # the model lacks the motor
     study.decks(tmp_path / "deck")
     subprocess.run(["ccx", "-i", "frame"], cwd=tmp_path / "deck", check=True, capture_output=True)

@@ -131,7 +131,7 @@ def test_the_executor_of_a_study(entry, good, tmp_path):
 
 
 def test_workers_of_another_version_are_refused_in_one_sentence():
-    own = cluster_worker.versions()
+    own = cluster_worker.library_versions()
     cluster_worker._require_same(own, "tcp://a:1")
     assert {"calib", "Python", "numpy"} <= set(own)
     with pytest.raises(InputError, match=re.escape(f"tcp://a:1 has calib {own['calib']}, and this")):

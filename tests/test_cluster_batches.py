@@ -53,7 +53,7 @@ class Client:
         return self.tasks[-1]
 
     def gather(self, futures, errors):
-        return [cluster_worker.Answer(f.where[0] if f.where else "a", self.outcomes(f.points)) for f in futures]
+        return [cluster_worker.ParcelOutcomes(f.where[0] if f.where else "a", self.outcomes(f.points)) for f in futures]
 
     def outcomes(self, points):
         return tuple(

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib.errors.errors import EvaluationError, InputError, ToleranceError, again
+from calib.errors.errors import EvaluationError, InputError, ToleranceError, raised_anew
 from calib.errors.place import TAB, Place, excerpt
 
 
@@ -146,5 +146,5 @@ def test_failures_keep_their_place_between_processes_and_when_reworded():
     fault = EvaluationError("it failed", at=HERE)
     fault.add_note("a traceback")
     assert pickle.loads(pickle.dumps(fault)).at == HERE
-    for copy in (again(fault), again(fault, "in other words")):
+    for copy in (raised_anew(fault), raised_anew(fault, "in other words")):
         assert copy.at == HERE and copy.__notes__ == ["a traceback"]

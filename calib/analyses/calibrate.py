@@ -32,7 +32,7 @@ from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.inference.agreement import Agreement, agreement
-from calib.inference.between import LEAST_TESTS, between_tests, tests_of
+from calib.inference.between import LEAST_TESTS, between_tests, tests_that_free
 from calib.inference.cases import Case
 from calib.missing.settings import too_few
 from calib.problem.joint import JointProblem
@@ -184,7 +184,7 @@ def _varying(study: AnyStudy, problem: FitProblem) -> tuple[str, ...]:
     varies = study.settings.calibration.varies
     fitted = [p.name for p in problem.space.free if not p.integer]
     for name in varies:
-        tests = len(tests_of(problem, name)) if isinstance(problem, JointProblem) else 1
+        tests = len(tests_that_free(problem, name)) if isinstance(problem, JointProblem) else 1
         if name not in fitted or tests < LEAST_TESTS:
             words = f"{tests} tests leave it free" if name in fitted else f"fitted are {', '.join(fitted)}"
             raise InputError(

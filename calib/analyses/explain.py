@@ -25,7 +25,7 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, failure
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.discretisation_error import mesh_words, with_mesh_error
-from calib.hypotheses.joint import JointAdapter, together
+from calib.hypotheses.joint import JointAdapter, joined_adapter
 from calib.inference.region import InfeasibleError
 from calib.measurement.corrections import correctable
 from calib.missing import decision as engine
@@ -138,7 +138,7 @@ def _begin(study: AnyStudy, results: Results) -> dict[str, float] | None:
 
 def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
     """All tests of a study, with stated errors of its models; arguments as in `explain`."""
-    return together(adapters_for(study, results, progress, homes))
+    return joined_adapter(adapters_for(study, results, progress, homes))
 
 
 def adapters_for(

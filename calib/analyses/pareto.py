@@ -23,7 +23,7 @@ from calib.execution.outcome import Outcome, failure, point_key
 from calib.execution.stage import Progress, silent
 from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import Objective
-from calib.inference.pareto import Group, front_of, groups_of, knee_of, search_front
+from calib.inference.pareto import ResponseGroup, front_of, groups_of, knee_of, search_front
 from calib.results.answer import Answer
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -192,13 +192,15 @@ def _sizes(study: AnyStudy, run: ParetoRun) -> GeneticSettings:
     return replace(genetic_settings(study, False), population=population, generations=generations)
 
 
-def _errors(outcomes: Sequence[Outcome], groups: tuple[Group, Group], objective: Objective) -> np.ndarray:
+def _errors(
+    outcomes: Sequence[Outcome], groups: tuple[ResponseGroup, ResponseGroup], objective: Objective
+) -> np.ndarray:
     """Both mean errors of each outcome, (n, 2)."""
     terms = [objective.terms(one.responses) for one in outcomes]
     return np.array([[group(one) for group in groups] for one in terms]).reshape(-1, 2)
 
 
-def _table(errors: np.ndarray, groups: tuple[Group, Group]) -> pd.DataFrame:
+def _table(errors: np.ndarray, groups: tuple[ResponseGroup, ResponseGroup]) -> pd.DataFrame:
     """The rows of a front, with its knee and the design that the weights of the objective prefer, and of the fit."""
     objective, number = errors @ [group.weight for group in groups], np.arange(len(errors))
     lowest, knee = int(np.argmin(objective[:-1])), knee_of(errors[:-1])
@@ -207,7 +209,7 @@ def _table(errors: np.ndarray, groups: tuple[Group, Group]) -> pd.DataFrame:
     return table.assign(objective=objective, knee=number == knee, lowest=number == lowest)
 
 
-def _objectives(table: pd.DataFrame, groups: tuple[Group, Group]) -> pd.DataFrame:
+def _objectives(table: pd.DataFrame, groups: tuple[ResponseGroup, ResponseGroup]) -> pd.DataFrame:
     """One row for each of the two groups."""
     rows, front = [], table[table["kind"] == FRONT]
     chosen = [front[front["knee"]], front[front["lowest"]], table[table["kind"] == FITTED]]

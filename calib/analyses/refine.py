@@ -17,7 +17,7 @@ from calib.problem.sampling import sample
 from calib.results.answer import Answer
 from calib.results.ledger import Ledger
 from calib.results.results import Results
-from calib.sensitivity.infill import chosen, coordinates, local_errors, tempered
+from calib.sensitivity.infill import chosen_runs, coordinates, local_errors, tempered
 from calib.sensitivity.prognosis import Metamodel, Prognosis, prognosis
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -127,7 +127,7 @@ def refined(
     weight = tempered(_misfit(models, measured, candidates, errors))
     size = np.array([measured[one.response][1] or one.true.std() for one in models])
     unknown = (errors**2 / (size**2 + errors**2)).sum(axis=1)
-    which = chosen(weight * (unknown + _TINY), there, far, runs)
+    which = chosen_runs(weight * (unknown + _TINY), there, far, runs)
     made = pd.DataFrame(candidates[which], columns=names).assign(weight=weight[which])
     near = tempered(_misfit(models, measured, x, local_errors(models, far, far)))
     table, known, failed = _errors(found.prognosis, near), found.prognosis, 0

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
 from calib.api import steps
-from calib.api.display import AnalysisResult
+from calib.api.display import FolderResult
 from calib.api.entries.designed import designs_entries
 from calib.api.entries.entry import Words
-from calib.api.figures import plain, write_named
+from calib.api.figures import file_name, write_named
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.report.style import owner_of
@@ -55,9 +55,9 @@ PICTURES = ("matrix", "histograms", "history", "box")
 """Pictures of what designs have in common, by name."""
 
 
-def designs(study: Any, best: int, keys: DesignKeys) -> AnalysisResult:
+def designs_result(study: Any, best: int, keys: DesignKeys) -> FolderResult:
     """See `calib.api.study.Study.designs`."""
-    found = steps.listed(study)
+    found = steps.designs_step(study)
     found = found.feasible if keys.get("feasible") else found
     printed = tuple(designs_entries(found, best, keys.get("design")))
     csv = keys.get("csv")
@@ -66,7 +66,7 @@ def designs(study: Any, best: int, keys: DesignKeys) -> AnalysisResult:
     clouds = keys.get("anthill", ())
     drawn = draw_designs(found, study.loaded, study.folder.path, clouds, most, keys.get("draw", ()), min(best, 20))
     study.listener.listed(found, [*printed, *(Words(f"Drawn: {path}", "always") for path in drawn)], written)
-    return AnalysisResult(found.sentences, found.table, study.folder.path, found, printed)
+    return FolderResult(found.sentences, found.table, study.folder.path, found, printed)
 
 
 def draw_designs(
@@ -110,7 +110,7 @@ def draw_designs(
     labels = {p.name: f"{p.name}, {p.unit}" for p in space.parameters if p.unit not in ("", "-")}
     looks: dict[str, Any] = {"labels": labels, "log": [p.name for p in space.parameters if p.is_log]}
     figures: list[tuple[str, Callable[[], Any]]] = [
-        (f"anthill_{plain(x)}_{plain(y)}", partial(draw_anthill, found.table, x, y, **looks)) for x, y in clouds
+        (f"anthill_{file_name(x)}_{file_name(y)}", partial(draw_anthill, found.table, x, y, **looks)) for x, y in clouds
     ]
     if parallel:
         axes = [*inputs, "objective"]

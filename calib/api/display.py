@@ -148,7 +148,9 @@ class Compared(Displayed):
         """What the command prints below the answer, test by test."""
         from calib.api.entries.compared import compared_entries
 
-        found = by_test({name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()})
+        found = entries_by_test(
+            {name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()}
+        )
         return (*found, *(Words(note, "always") for note in self.notes))
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
@@ -230,7 +232,7 @@ def compared(problem: ProblemLike, values: Mapping[str, float] | None) -> Compar
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class AnalysisResult(Displayed):
+class FolderResult(Displayed):
     """Result of a study's analysis: sentences and their main table.
 
     Attributes
@@ -274,10 +276,10 @@ class AnalysisResult(Displayed):
         return self.printed
 
     def __repr__(self) -> str:
-        return f"AnalysisResult({len(self.rows)} rows in {self.folder})"
+        return f"FolderResult({len(self.rows)} rows in {self.folder})"
 
 
-def by_test(entries: Mapping[str, Sequence[Entry]]) -> tuple[Entry, ...]:
+def entries_by_test(entries: Mapping[str, Sequence[Entry]]) -> tuple[Entry, ...]:
     """Entries of every test, of several below its name."""
     if len(entries) == 1:
         return tuple(next(iter(entries.values())))

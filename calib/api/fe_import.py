@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from calib.api.display import Displayed, compared
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
-from calib.api.fe_study import TEMPLATE, TermsByKind, measurement_of, model_of, quoted, write_study
+from calib.api.fe_study import TEMPLATE, TermsByKind, measurement_of, model_of, toml_text, write_study
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
 from calib.experiment import ModalTest
@@ -237,7 +237,7 @@ def import_matrices(
     contents: dict[str, bytes] = {}
     lines, most = measurement_of(measured, shapes, sensors, contents)
     text = Template((TEMPLATE / "imported_study.toml").read_text("utf-8")).substitute(
-        title=quoted(f"Imported model {model.name}"), measurement="\n".join(lines),
+        title=toml_text(f"Imported model {model.name}"), measurement="\n".join(lines),
         mode_count=min(model.n_dof, max(MODES, most)),
     )  # fmt: skip
     source, new = ", ".join(file.name for file in named), path_of(to, "to")

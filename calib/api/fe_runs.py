@@ -15,7 +15,7 @@ import scipy.sparse as sp
 
 from calib.api.entries.entry import count
 from calib.api.fe_import import FREQ_AGREES, MAC_AGREES, Imported
-from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, quoted, write_study
+from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, toml_text, write_study
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.retry import Retrying
 from calib.imports.matrices import ReadMatrices, read_matrices
@@ -178,10 +178,10 @@ def _checked(study: LoadedStudy, given: SolverSettings, runs: _SolverRuns, terms
     if to is None:
         return out
     decks, files = (
-        [quoted(_path_to(study.folder / name, to)) for name in names] for names in (given.template, given.files)
+        [toml_text(_path_to(study.folder / name, to)) for name in names] for names in (given.template, given.files)
     )
     text = Template((TEMPLATE / "affine_study.toml").read_text("utf-8")).substitute(
-        title=quoted(f"{study.settings.title}, matrices from runs"), base=quoted(_path_to(study.folder, to)),
+        title=toml_text(f"{study.settings.title}, matrices from runs"), base=toml_text(_path_to(study.folder, to)),
         decks=", ".join(decks), files=", ".join(files), effects="" if study.settings.libraries else _GENERIC,
     )  # fmt: skip
     source = f"{terms.runs} runs of {runs.solver.title}"

@@ -69,7 +69,7 @@ def write_study(
     code = Template((TEMPLATE / "imported_model.py.txt").read_text("utf-8")).substitute(
         source=_plain(source), units=units, **scalings,
         parameters="".join(f"    {_parameter_text(p)},\n" for p in model.space.parameters),
-        layers="None" if read.layers is None else quoted(read.layers), name=_plain(model.name),
+        layers="None" if read.layers is None else toml_text(read.layers), name=_plain(model.name),
     )  # fmt: skip
     held: dict[str, Any] = {}
     for kind, own in terms.items():
@@ -98,7 +98,7 @@ def _parameter_text(p: Parameter) -> str:
     """The call that makes a parameter."""
     prior = "" if p.prior_sd is None else f", prior_sd={p.prior_sd!r}"
     prior += ', distribution="fixed"' if p.distribution == "fixed" else ""
-    return f"Parameter({quoted(p.name)}, {p.value!r}, {p.lower!r}, {p.upper!r}, {quoted(p.unit)}{prior})"
+    return f"Parameter({toml_text(p.name)}, {p.value!r}, {p.lower!r}, {p.upper!r}, {toml_text(p.unit)}{prior})"
 
 
 def measurement_of(
@@ -122,12 +122,12 @@ def measurement_of(
             name = file.name if file.name not in contents else f"{len(contents)}_{file.name}"
             contents[name] = file.read_bytes()
             out.setdefault(key, []).append(name)
-    lines = [f"{key} = [{', '.join(map(quoted, out[key]))}]" for key in ("files", "shapes") if key in out]
-    lines += [f"sensors = {quoted(out['sensors'][0])}"] if "sensors" in out else []
+    lines = [f"{key} = [{', '.join(map(toml_text, out[key]))}]" for key in ("files", "shapes") if key in out]
+    lines += [f"sensors = {toml_text(out['sensors'][0])}"] if "sensors" in out else []
     return lines, 2 * read.n_modes
 
 
-def quoted(text: str) -> str:
+def toml_text(text: str) -> str:
     """Text in quotes, as TOML and Python read it."""
     return '"' + text.replace("\\", "\\\\").replace('"', '\\"') + '"'
 

@@ -169,7 +169,7 @@ def write_named(
     return tuple(written)
 
 
-def plain(name: str) -> str:
+def file_name(name: str) -> str:
     """A name as a part of a file's name."""
     return re.sub(r"[^\w.-]+", "_", name)
 

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.sensitivity import Sensitivity
-from calib.api.figures import plain, write_named
+from calib.api.figures import file_name, write_named
 from calib.errors.errors import InputError
 from calib.report.metamodel import CELLS, draw_residuals, surface_figure
 from calib.report.style import owner_of, save, style
@@ -46,9 +46,11 @@ def draw_metamodels(
     if not isinstance(found, Sensitivity):
         raise InputError("it has no metamodels", place=f"method {found.method}", remedy="use the method 'ranks'")
     title, own = f"{study.settings.title}: metamodel", found.prognosis
-    drawn = [(f"residuals_{plain(r)}", partial(_figure, own[r], found.sampled, None)) for r in residuals]
+    drawn = [(f"residuals_{file_name(r)}", partial(_figure, own[r], found.sampled, None)) for r in residuals]
     for r, x, y in surfaces:
-        drawn.append((f"surface_{plain(r)}_{plain(x)}_{plain(y)}", partial(_figure, own[r], found.sampled, (x, y))))
+        drawn.append(
+            (f"surface_{file_name(r)}_{file_name(x)}_{file_name(y)}", partial(_figure, own[r], found.sampled, (x, y)))
+        )
     return write_named(drawn, title, study.synthetic, folder)
 
 

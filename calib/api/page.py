@@ -65,7 +65,7 @@ def figures_of(fit: Solved) -> tuple[str, ...]:
     return FIGURES if any(modes.has_shapes for modes in modal) else ("frequency_errors", "parameters")
 
 
-def chosen(fit: Solved, name: str) -> tuple[Model, Test]:
+def chosen_test(fit: Solved, name: str) -> tuple[Model, Test]:
     """The test of that name with its model, or the only one; InputError for an unknown name, or none of several."""
     pairs = {test.name: (model, test) for model, test in fit.problem.pairs}
     if not name and len(pairs) == 1:
@@ -84,7 +84,7 @@ def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
 
     if name not in FIGURES:
         raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {', '.join(FIGURES)}")
-    _, selected = chosen(fit, test)
+    _, selected = chosen_test(fit, test)
     if name == "parameters":
         tables = _tables(fit)
         wide = tables.get("unexplained_calibrated")

@@ -43,7 +43,7 @@ def opened_ledger(study: Any, loaded: AnyStudy) -> Iterator[Ledger]:
             study.listener.damaged(ledger.damaged)
 
 
-def compared(study: Any, undamped: bool = False) -> ComparisonResult:
+def compare_step(study: Any, undamped: bool = False) -> ComparisonResult:
     """The model of the only test against its measurement, at the nominal values; ``study`` is a `calib.Study`."""
     from calib.analyses.compare import compare
     from calib.analyses.provenance.stored import with_stored_modes
@@ -58,8 +58,12 @@ def compared(study: Any, undamped: bool = False) -> ComparisonResult:
     return answer
 
 
-def sampled(study: Any) -> Sensitivity:
-    """Rank correlations of the only test over a Latin hypercube."""
+def sensitivity_step(
+    study: Any, method: Literal["ranks", "morris", "sobol"] = "ranks", ignore_constraints: bool = False
+) -> Sensitivity | Screening:
+    """Of the only test rank correlations over a Latin hypercube, or indices of Morris or Sobol."""
+    if method != "ranks":
+        return _screen(study, method, ignore_constraints)
     from calib.analyses.reduction import fingerprints
     from calib.analyses.runs_ahead import runs_ahead
     from calib.analyses.sensitivity import sensitivity
@@ -74,7 +78,18 @@ def sampled(study: Any) -> Sensitivity:
     return answer
 
 
-def refined(study: Any, runs: int, seed: int) -> Refined:
+def _screen(study: Any, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
+    from calib.analyses.screening import screen
+
+    loaded, workers, quick = study.one, study.workers, study.quick
+    study.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
+    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
+        answer = screen(loaded, study.folder, ledger, method, workers, quick, ignore_constraints, step)
+    study.listener.sampled(loaded, answer, study.folder)
+    return answer
+
+
+def refine_step(study: Any, runs: int, seed: int) -> Refined:
     """New runs of the only test where they help the question most."""
     from calib.analyses.refine import refine
     from calib.analyses.runs_ahead import runs_ahead
@@ -88,19 +103,7 @@ def refined(study: Any, runs: int, seed: int) -> Refined:
     return found
 
 
-def screened(study: Any, method: Literal["morris", "sobol"], ignore_constraints: bool) -> Screening:
-    """Indices of Morris or Sobol of the only test."""
-    from calib.analyses.screening import screen
-
-    loaded, workers, quick = study.one, study.workers, study.quick
-    study.listener.begins(loaded, f"sensitivity, {method.capitalize()}")
-    with opened_ledger(study, loaded) as ledger, study.listener.progress() as step:
-        answer = screen(loaded, study.folder, ledger, method, workers, quick, ignore_constraints, step)
-    study.listener.sampled(loaded, answer, study.folder)
-    return answer
-
-
-def calibrated(study: Any, case: str | None = None, method: Method | None = None) -> Fitted:
+def calibrate_step(study: Any, case: str | None = None, method: Method | None = None) -> Fitted:
     """The fit of all tests together, of the parameters that the sensitivity analysis selected where that is asked."""
     from calib.analyses.calibrate import calibrate, chosen_cases
     from calib.analyses.reduction import fingerprints
@@ -151,7 +154,7 @@ def _about_calibration(study: Any, verb: str) -> Iterator[tuple[AnyStudy, dict[s
         yield loaded, homes, ledger, step
 
 
-def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) -> Intervals:
+def intervals_step(study: Any, parameters: tuple[str, ...], samples: int, seed: int) -> Intervals:
     """Intervals of the parameters about the stored calibration."""
     from calib.analyses.intervals import IntervalsRun, intervals
 
@@ -162,7 +165,7 @@ def bounded(study: Any, parameters: tuple[str, ...], samples: int, seed: int) ->
     return found
 
 
-def pushed(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
+def robustness_step(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
     """Responses over the posterior of the parameters, about the stored calibration."""
     from calib.analyses.robustness import RobustnessRun, posterior_samples, robustness
     from calib.api.arguments import robustness_settings
@@ -175,7 +178,7 @@ def pushed(study: Any, **keys: Unpack[RobustnessKeys]) -> Robustness:
     return found
 
 
-def weighed(study: Any, **keys: Unpack[ParetoKeys]) -> Pareto:
+def pareto_step(study: Any, **keys: Unpack[ParetoKeys]) -> Pareto:
     """The front of two groups of responses, beside the stored calibration."""
     from calib.analyses.pareto import ParetoRun, pareto
     from calib.analyses.runs_ahead import runs_ahead
@@ -189,7 +192,7 @@ def weighed(study: Any, **keys: Unpack[ParetoKeys]) -> Pareto:
     return found
 
 
-def repeated(study: Any) -> Repeated:
+def repeat_step(study: Any) -> Repeated:
     """Failed points of the study, evaluated once more."""
     from calib.analyses.again import again
 
@@ -200,14 +203,14 @@ def repeated(study: Any) -> Repeated:
     return found
 
 
-def decks_written(study: Any, into: Path) -> tuple[Path, ...]:
+def decks_step(study: Any, into: Path) -> tuple[Path, ...]:
     """Decks of the study's solver with the values of its calibration."""
     from calib.analyses.decks import write_decks
 
     return write_decks(_selecting(study), study.folder, into)
 
 
-def listed(study: Any) -> Designs:
+def designs_step(study: Any) -> Designs:
     """Every evaluated point of the study as it is."""
     from calib.analyses.designs import designs
 
@@ -217,15 +220,15 @@ def listed(study: Any) -> Designs:
         return designs(loaded, ledger, study.folder)
 
 
-def fitted(study: Any) -> Fitted:
+def fit_step(study: Any) -> Fitted:
     """The same, after a sensitivity analysis where the study leaves the selection to it."""
     if study.loaded.settings.selected_by_sensitivity:
         for one in study.tests:
-            sampled(one)
-    return calibrated(study)
+            sensitivity_step(one)
+    return calibrate_step(study)
 
 
-def explained(study: Any) -> ExplanationResult:
+def explain_step(study: Any) -> ExplanationResult:
     """Which effect of the study's library the model lacks, by all tests together."""
     from calib.analyses.explain import explain
     from calib.analyses.provenance.stored import with_stored_modes
@@ -273,7 +276,7 @@ def with_named(study: Any, before: Fitted, found: Explanation) -> Any:
     written = extension.extend_among(loaded, named.names, study.folder.path, begin_at)
     study.listener.extended(written)
     extended = replace(study, path=written.file, read=None)
-    after = fitted(extended)
+    after = fit_step(extended)
     study.listener.begins(loaded, "before and after")
     for own, other in zip(study.tests, extended.tests, strict=True):
         test = own.one.test

@@ -13,7 +13,7 @@ from calib.analyses.provenance import places
 from calib.analyses.provenance.isolation import stated_time_limit
 from calib.api import steps
 from calib.api.arguments import ParetoKeys, RobustnessKeys
-from calib.api.display import AnalysisResult, Compared, by_test
+from calib.api.display import Compared, FolderResult, entries_by_test
 from calib.api.listener import Listener, Showing
 from calib.api.problem import Problem
 from calib.errors.arguments import integer
@@ -119,7 +119,7 @@ class Study:
         if found is None:
             self.listener.first(study, self.path)
             own = replace(self, path=file, read=study)
-            steps.fitted(own)
+            steps.fit_step(own)
             own.draw()
             found = values_found(study, self.results, self.quick)
         return found
@@ -174,7 +174,7 @@ class Study:
         answers, studies = {}, {}
         for study in self.tests:
             name = study.one.test or study.one.name
-            answers[name], studies[name] = steps.compared(study, undamped), study.one
+            answers[name], studies[name] = steps.compare_step(study, undamped), study.one
         self.draw()
         return Compared(answers, studies)
 
@@ -186,7 +186,7 @@ class Study:
         residuals: Sequence[str] = (),
         surfaces: Sequence[tuple[str, str, str]] = (),
         executor: AnyExecutor | None = None,
-    ) -> AnalysisResult:
+    ) -> FolderResult:
         """Global sensitivity: rank correlations over a Latin hypercube, or the indices of Morris or Sobol.
 
         Each test is analysed by itself. Metamodels of the responses in ``residuals`` are drawn against the model, those
@@ -198,26 +198,26 @@ class Study:
         answers, entries = dict[str, Any](), {}
         with self._by(executor) as whole:
             for study in whole.tests:
-                found = steps.sampled(study) if method == "ranks" else steps.screened(study, method, ignore_constraints)
+                found = steps.sensitivity_step(study, method, ignore_constraints)
                 answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
                 if residuals or surfaces:
                     drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)
                     self.listener.drawn(study.one, drawn, None)
         self.draw()
-        printed = by_test(entries)
+        printed = entries_by_test(entries)
         if len(answers) == 1:
-            return AnalysisResult(found.sentences, found.table, self.tests[0].folder.path, found, printed)
+            return FolderResult(found.sentences, found.table, self.tests[0].folder.path, found, printed)
         table = stacked({test: one.table for test, one in answers.items()})
         words = prefixed({test: one.sentences for test, one in answers.items()})
-        return AnalysisResult(words, table, self.folder.path, answers, printed)
+        return FolderResult(words, table, self.folder.path, answers, printed)
 
-    def refine(self, runs: int = 20, *, seed: int = 1) -> AnalysisResult:
+    def refine(self, runs: int = 20, *, seed: int = 1) -> FolderResult:
         """New runs of the only test where they help most; see `calib.api.sensitivity.Assessed.refine`."""
         from calib.api.entries.compared import refined_entries
 
-        found = steps.refined(self, integer(runs, 1, "runs"), seed)
+        found = steps.refine_step(self, integer(runs, 1, "runs"), seed)
         self.draw()
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(refined_entries(found)))
+        return FolderResult(found.sentences, found.table, self.folder.path, found, tuple(refined_entries(found)))
 
     def calibrate(
         self,
@@ -225,7 +225,7 @@ class Study:
         *,
         method: Method | None = None,
         executor: AnyExecutor | None = None,
-    ) -> AnalysisResult:
+    ) -> FolderResult:
         """Fit the parameters in several independent cases, and assess how well each is identified.
 
         Several tests are fitted together. ``executor`` evaluates the points of searches; see `run`.
@@ -233,40 +233,40 @@ class Study:
         from calib.api.entries.calibrated import calibrated_entries
 
         with self._by(executor) as study:
-            found = steps.calibrated(study, case, method)
+            found = steps.calibrate_step(study, case, method)
             study.draw(places.results_of(self.loaded, self.results, self.quick, case, method))
         folder = places.results_of(self.loaded, self.results, self.quick, case, method)
         printed = tuple(calibrated_entries(self.loaded, found))
-        return AnalysisResult(found.sentences, found.verdicts, folder.path, found, printed)
+        return FolderResult(found.sentences, found.verdicts, folder.path, found, printed)
 
-    def intervals(self, parameters: Sequence[str] = (), *, samples: int = 0, seed: int = 1) -> AnalysisResult:
+    def intervals(self, parameters: Sequence[str] = (), *, samples: int = 0, seed: int = 1) -> FolderResult:
         """Intervals of the parameters of the stored calibration; see `calib.api.fit.Fit.intervals`."""
         from calib.api.entries.calibrated import interval_entries
 
-        found = steps.bounded(self, tuple(parameters), samples, seed)
+        found = steps.intervals_step(self, tuple(parameters), samples, seed)
         self.draw()
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
+        return FolderResult(found.sentences, found.table, self.folder.path, found, tuple(interval_entries(found)))
 
-    def robustness(self, **keys: Unpack[RobustnessKeys]) -> AnalysisResult:
+    def robustness(self, **keys: Unpack[RobustnessKeys]) -> FolderResult:
         """Responses over what is known of the parameters; see `calib.api.fit.Fit.robustness`.
 
         Samples of the posterior are those of `intervals`, where it has drawn some.
         """
         from calib.api.entries.calibrated import robustness_entries
 
-        found = steps.pushed(self, **keys)
+        found = steps.robustness_step(self, **keys)
         self.draw()
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(robustness_entries(found)))
+        return FolderResult(found.sentences, found.table, self.folder.path, found, tuple(robustness_entries(found)))
 
-    def pareto(self, **keys: Unpack[ParetoKeys]) -> AnalysisResult:
+    def pareto(self, **keys: Unpack[ParetoKeys]) -> FolderResult:
         """The front of two groups of responses beside the stored calibration; see `calib.api.fit.Fit.pareto`."""
         from calib.api.entries.calibrated import pareto_entries
 
-        found = steps.weighed(self, **keys)
+        found = steps.pareto_step(self, **keys)
         self.draw()
-        return AnalysisResult(found.sentences, found.table, self.folder.path, found, tuple(pareto_entries(found)))
+        return FolderResult(found.sentences, found.table, self.folder.path, found, tuple(pareto_entries(found)))
 
-    def designs(self, best: int = 12, **keys: Unpack[DesignKeys]) -> AnalysisResult:
+    def designs(self, best: int = 12, **keys: Unpack[DesignKeys]) -> FolderResult:
         """Every design that searches and samples of the study as it is have evaluated, ranked by the objective.
 
         Parameters
@@ -276,26 +276,26 @@ class Study:
         **keys
             What else is told, written and drawn; see `calib.api.designs.DesignKeys`.
         """
-        from calib.api.designs import designs
+        from calib.api.designs import designs_result
 
-        return designs(self, integer(best, 1, "best"), keys)
+        return designs_result(self, integer(best, 1, "best"), keys)
 
     def again(self) -> Repeated:
         """Evaluate failed points once more, such as those without a licence; others stay. Analyses then use them."""
-        return steps.repeated(self)
+        return steps.repeat_step(self)
 
-    def explain(self, *, executor: AnyExecutor | None = None) -> AnalysisResult:
+    def explain(self, *, executor: AnyExecutor | None = None) -> FolderResult:
         """Find which effect of the study's library the model lacks; ``executor`` evaluates points, see `run`."""
         from calib.api.entries.explained import explained_entries
 
         with self._by(executor) as study, places.tasks_shared(study.workers):
-            found = steps.explained(study)
+            found = steps.explain_step(study)
             self.listener.may_add(self.loaded, found.explanation)
             self.draw()
         printed = tuple(explained_entries(self.loaded, found))
-        return AnalysisResult((*found.sentences, *found.notes), found.effects, self.folder.path, found, printed)
+        return FolderResult((*found.sentences, *found.notes), found.effects, self.folder.path, found, printed)
 
-    def propose(self, rank: int | None = None) -> AnalysisResult:
+    def propose(self, rank: int | None = None) -> FolderResult:
         """Compose effects that explain what no effect of the library explains, after `explain`.
 
         The best ``rank`` are written as a library of effects, in a study of its own among the results.
@@ -315,7 +315,7 @@ class Study:
             found = proposal.propose(stored, self.folder, wanted, step, homes)
         self.listener.proposed(loaded, found, self.folder, root)
         words = (found.answer.found, found.answer.sure, *found.sentences)
-        return AnalysisResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))
+        return FolderResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))
 
     def extend(self, effects: Sequence[str], into: str | Path) -> Study:
         """Write a new study whose model also has the named effects; this one stays as it is.
@@ -333,7 +333,7 @@ class Study:
 
     def decks(self, into: str | Path) -> tuple[Path, ...]:
         """Write the solver's decks with the calibrated values into a new folder; see `calib.analyses.decks`."""
-        return steps.decks_written(self, path_of(into, "into"))
+        return steps.decks_step(self, path_of(into, "into"))
 
     def run(self, *, executor: AnyExecutor | None = None) -> Study:
         """Run every analysis, add the named effects, calibrate again, and write ``report.html``.
@@ -361,13 +361,13 @@ class Study:
                 found = study.run()
             return self if found is study else replace(found, workers=self.workers)
         for study in self.tests:
-            steps.compared(study)
-            steps.sampled(study)
-        before, extended = steps.calibrated(self), None
+            steps.compare_step(study)
+            steps.sensitivity_step(study)
+        before, extended = steps.calibrate_step(self), None
         if before.too_few:
             self.listener.nothing_added(f"Nothing was explained: {before.too_few}.")
         elif self.loaded.candidates:
-            extended = steps.with_named(self, before, steps.explained(self).explanation)
+            extended = steps.with_named(self, before, steps.explain_step(self).explanation)
         with places.tasks_shared(self.workers):
             if extended is not None:
                 extended.draw(report=True)

@@ -14,7 +14,7 @@ import typer
 
 from calib.command import terminal
 from calib.command.compare import compare_model
-from calib.command.designs import list_designs, refine_samples, search_front, spread_of_fit
+from calib.command.designs import list_designs, pareto_of_study, refine_samples, spread_of_fit
 from calib.command.example import new
 from calib.command.loaded import loaded_study
 from calib.command.matrices import deck, import_to_study
@@ -154,7 +154,7 @@ def intervals_of_fit(
 
 
 app.command("robustness", short_help="Responses over what is known of the fitted parameters.")(spread_of_fit)
-app.command("pareto", short_help="Weigh two groups of responses against each other.")(search_front)
+app.command("pareto", short_help="Weigh two groups of responses against each other.")(pareto_of_study)
 app.command("designs", short_help="List evaluated designs, the best first.")(list_designs)
 app.command(short_help="Write the solver's deck with the calibrated values.")(deck)
 

@@ -74,7 +74,7 @@ def refine_samples(
         loaded.refine(runs, seed=seed)
 
 
-def search_front(
+def pareto_of_study(
     study: StudyPath,
     population: Annotated[
         int | None, typer.Option("--population", min=4, metavar="N", help="[default: that of the study, 40].")

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 from calib.command import terminal
-from calib.command.options import Estimator, Quantity, Verbose, assigned, listed, possible
+from calib.command.options import Estimator, Quantity, Verbose, assigned, comma_separated, possible
 
 
 def look_at_files(
@@ -39,7 +39,8 @@ def look_at_files(
     with one_thread():
         found = look_at(
             files, quantity=None if quantity is None else quantity.value, unit=unit, averages=averages,
-            channels=listed(channels), variables=assigned(variables), length_unit=length_unit, synthetic=synthetic,
+            channels=comma_separated(channels), variables=assigned(variables), length_unit=length_unit,
+            synthetic=synthetic,
         )  # fmt: skip
         written = found.save(into)
     terminal.tell_entries(found.entries, verbose)
@@ -87,7 +88,7 @@ def identify_modes_of_files(
 
     with one_thread(), progress.bars("modes") as told:
         how = FRFReading(
-            None if quantity is None else quantity.value, unit, sensors, averages, listed(channels),
+            None if quantity is None else quantity.value, unit, sensors, averages, comma_separated(channels),
             assigned(variables), None, estimator.value, exponential_window, synthetic,
         )  # fmt: skip
         written = identify_modes(files, into, how, band=band, accept=accept or (), progress=told)

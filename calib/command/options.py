@@ -23,14 +23,14 @@ def possible(path: Path) -> Path:
         raise InputError(str(fault), place=name, remedy="name another place") from None
 
 
-def listed(text: str | None) -> tuple[str, ...]:
+def comma_separated(text: str | None) -> tuple[str, ...]:
     """Entries between commas."""
     return tuple(one.strip() for one in (text or "").split(",") if one.strip())
 
 
 def assigned(text: str | None) -> dict[str, str]:
     """Names and values such as ``freq=f, frf=H``; InputError for an entry without both."""
-    pairs = [one.partition("=") for one in listed(text)]
+    pairs = [one.partition("=") for one in comma_separated(text)]
     if wrong := next((name for name, _, value in pairs if not (name.strip() and value.strip())), None):
         raise InputError(
             f"{wrong!r:.40} assigns nothing", place="--variables", remedy="give pairs as its help shows them"
@@ -56,9 +56,11 @@ def limits_of(texts: Sequence[str]) -> dict[str, tuple[float, float]]:
 def groups_named(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
     """Groups such as ``low=natural_freq_1*,mac_1*`` by name; InputError for another form."""
     pairs = [text.partition("=") for text in texts]
-    if wrong := next((text for text, pair in zip(texts, pairs, strict=True) if not (pair[0] and listed(pair[2]))), ""):
+    if wrong := next(
+        (text for text, pair in zip(texts, pairs, strict=True) if not (pair[0] and comma_separated(pair[2]))), ""
+    ):
         raise InputError(f"{wrong!r:.40} names no group", place="--group", remedy="write it as its help shows")
-    return {name: listed(responses) for name, _, responses in pairs}
+    return {name: comma_separated(responses) for name, _, responses in pairs}
 
 
 StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]

@@ -15,7 +15,7 @@ from typing import Any
 
 from rich.console import Console
 
-from calib.api.entries.entry import NARROWEST, WIDTH, Entry, lines_of, wrapped
+from calib.api.entries.entry import NARROWEST, WIDTH, Entry, lines_of, wrapped_lines
 from calib.api.progress import ERR
 from calib.errors.errors import InputError
 from calib.errors.place import WIDEST, excerpt
@@ -90,7 +90,7 @@ def _wrapped(text: str, indent: int = 0) -> str:
     """Text in lines that fit the terminal; the first begins after ``indent`` columns, the others are indented so."""
     if not _out.is_terminal or indent + len(text) <= _out.width:
         return text
-    lines = wrapped(text, max(_out.width - indent, NARROWEST))
+    lines = wrapped_lines(text, max(_out.width - indent, NARROWEST))
     return f"\n{' ' * indent}".join(lines)
 
 

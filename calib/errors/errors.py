@@ -135,7 +135,7 @@ class EvaluationError(RuntimeError):
         self.at = at
 
 
-def again(fault: EvaluationError, words: str | None = None) -> EvaluationError:
+def raised_anew(fault: EvaluationError, words: str | None = None) -> EvaluationError:
     """A copy of the failure with its notes and place, reworded if ``words`` are given, and without its traceback."""
     out = EvaluationError(*fault.args, at=fault.at) if words is None else EvaluationError(words, at=fault.at)
     for note in getattr(fault, "__notes__", ()):

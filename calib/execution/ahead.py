@@ -23,7 +23,7 @@ class Batched(Protocol):
 
 
 class _Wanted:
-    """Points that the computations of one call of `together` asked for, and whether they asked a function at all."""
+    """Points that the computations of one `evaluated_together` asked for, and whether they asked a function at all."""
 
     def __init__(self, leaves: bool = True) -> None:
         self.points: list[tuple[Batched, Mapping[str, float]]] = []
@@ -48,7 +48,7 @@ def in_advance() -> Iterator[None]:
 
 @contextmanager
 def points_shared() -> Iterator[None]:
-    """While this lasts, functions may be evaluated by several workers, and `together` has an effect."""
+    """While this lasts, functions may be evaluated by several workers, and `evaluated_together` has an effect."""
     token = _shared.set(True)
     try:
         yield
@@ -72,7 +72,7 @@ def ask(function: Batched, values: Mapping[str, float], is_known: Callable[[], b
         raise PointWanted
 
 
-def together(computations: Iterable[Callable[[], object]]) -> bool:
+def evaluated_together(computations: Iterable[Callable[[], object]]) -> bool:
     """Evaluate as one batch all points that some computations will ask of functions that keep their results.
 
     Every computation is run, and left where it asks for a point that is not known; their results are not used. Whoever

@@ -15,7 +15,7 @@ from typing import Any
 
 from calib.errors.errors import InputError
 from calib.execution import cluster_worker
-from calib.execution.cluster_worker import Answer, Packed, Parcel
+from calib.execution.cluster_worker import Packed, Parcel, ParcelOutcomes
 from calib.execution.evaluate import Arrived, failed, ignored
 from calib.execution.local_cluster import started
 from calib.execution.outcome import WORKER_DIED, Outcome, error_line
@@ -221,7 +221,7 @@ class ClusterEvaluator:
                     remedy="leave out what belongs to this process, such as open files",
                 ) from None  # fmt: skip
             sent = Sent(packed)
-            parcel = Parcel(sent, cluster_worker.versions(), self._limit, self._required)
+            parcel = Parcel(sent, cluster_worker.library_versions(), self._limit, self._required)
             with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
                 self._parcel = client.submit(cluster_worker.passed_on, parcel, pure=False)
             self._end = weakref.finalize(self, _release, client, sent.name)
@@ -278,7 +278,7 @@ class _Batch:
         tasks = [self._running.pop(future.key) for future in ended if future.key in self._running]
         good = [(future, numbers) for future, numbers in tasks if future.status == "finished"]
         try:
-            answers: Sequence[Answer] = self._client.gather([future for future, _ in good], errors="raise")
+            answers: Sequence[ParcelOutcomes] = self._client.gather([future for future, _ in good], errors="raise")
         except Exception as fault:
             raise self._cluster.lost() from fault
         for answer, (_, numbers) in zip(answers, good, strict=True):
@@ -302,7 +302,7 @@ class _Batch:
     def _submit(self, numbers: list[int], avoided: str = "") -> None:
         others = [name for name in self._client.nthreads() if name != avoided] if avoided else []
         future = self._client.submit(
-            cluster_worker.evaluated, self._parcel, [self._points[k] for k in numbers], pure=False,
+            cluster_worker.evaluate_parcel, self._parcel, [self._points[k] for k in numbers], pure=False,
             workers=others or None, allow_other_workers=bool(others),
         )  # fmt: skip
         self._running[future.key] = future, numbers

@@ -24,7 +24,7 @@ NO_DAEMON = "DASK_DISTRIBUTED__WORKER__DAEMON=False"
 """Setting of Dask by which workers may start processes."""
 
 
-def versions() -> dict[str, str]:
+def library_versions() -> dict[str, str]:
     """Versions on which results, and whether a model can be sent, depend."""
     import numpy
     import scipy
@@ -92,7 +92,7 @@ class Parcel:
 
 
 @dataclass(frozen=True)
-class Answer:
+class ParcelOutcomes:
     """What a worker returns: outcomes of the points in their order, or the fault of a set-up."""
 
     worker: str
@@ -105,7 +105,7 @@ def passed_on(parcel: Parcel) -> Parcel:
     return parcel
 
 
-def evaluated(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> Answer:
+def evaluate_parcel(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> ParcelOutcomes:
     """Evaluate points, in a process that is kept for the parcel's next ones.
 
     A worker that is a daemon, as below a nanny by default, may have no process of its own: it evaluates them itself.
@@ -122,12 +122,12 @@ def evaluated(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> Answer:
             with _child(parcel) as child:
                 outcomes += child.evaluate(points)
     except (InputError, RuntimeError) as fault:
-        return Answer(name, (), fault)
-    return Answer(name, tuple(outcomes))
+        return ParcelOutcomes(name, (), fault)
+    return ParcelOutcomes(name, tuple(outcomes))
 
 
 def _require_same(wanted: Mapping[str, str], name: str) -> None:
-    own = versions()
+    own = library_versions()
     if other := [part for part in wanted if own[part] != wanted[part]]:
         theirs = " and ".join(f"{part} {own[part]}" for part in other)
         ours = " and ".join(f"{part} {wanted[part]}" for part in other)

@@ -269,7 +269,7 @@ class Evaluator:
             context = multiprocessing.get_context("spawn")
             self._board = worker.Board(context, self.workers)
             self._pool = ProcessPoolExecutor(
-                self.workers, context, interrupt.follow,
+                self.workers, context, interrupt.obey_parent,
                 (interrupt.Following(worker.start, self.source, self._board),),
             )  # fmt: skip
         # Processes are started on demand, while a task is handed over.

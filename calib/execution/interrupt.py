@@ -168,7 +168,7 @@ def _left_running() -> bool:
 
 
 class Following:
-    """A call for a new process; what it needs is imported there when `follow` makes it.
+    """A call for a new process; what it needs is imported there when `obey_parent` makes it.
 
     Parameters
     ----------
@@ -185,7 +185,7 @@ class Following:
         return partial(Following, content=bytes(ForkingPickler.dumps(self._call))), ()
 
 
-def follow(task: Following) -> None:
+def obey_parent(task: Following) -> None:
     """Begin a new process: from now on, its parent alone decides when to stop, and it ends when the parent is gone.
 
     Otherwise it would wait for tasks for ever. Imports come later: on a busy machine they take long.

@@ -67,7 +67,7 @@ def started(workers: int) -> tuple[str, Callable[[], None]]:
     return address, end
 
 
-def serve() -> None:
+def run_cluster() -> None:
     """Run a scheduler and its workers until the input ends; the address is written to the output."""
     import dask
     from distributed import LocalCluster

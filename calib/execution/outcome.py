@@ -20,7 +20,7 @@ Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
 
 class PointWanted(BaseException):
-    """A computation asks for a point that is not known yet; see `calib.execution.ahead.together`."""
+    """A computation asks for a point that is not known yet; see `calib.execution.ahead.evaluated_together`."""
 
 
 WORKER_DIED = "the worker process died"

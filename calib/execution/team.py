@@ -211,7 +211,7 @@ class Team:
                 context = multiprocessing.get_context("spawn")
                 self._board = _Board(context)
                 self._pool = ProcessPoolExecutor(
-                    self.workers - 1, context, interrupt.follow, (interrupt.Following(_start, self._board),)
+                    self.workers - 1, context, interrupt.obey_parent, (interrupt.Following(_start, self._board),)
                 )  # fmt: skip
             assert self._board is not None
             self._board.begin(self._calls)

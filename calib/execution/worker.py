@@ -312,7 +312,7 @@ def apart(function: Callable[..., T], *arguments: object) -> T:
     context = multiprocessing.get_context("spawn")
     receiving, sending = context.Pipe(duplex=False)
     task = interrupt.Following(_alone, sending, function, arguments)
-    process = context.Process(target=interrupt.follow, args=(task,), daemon=True)
+    process = context.Process(target=interrupt.obey_parent, args=(task,), daemon=True)
     try:
         with interrupt.held(), environment(script=False):
             process.start()

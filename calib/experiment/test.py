@@ -24,7 +24,7 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.partners import require_limit
 from calib.problem.space import ParameterSpace
-from calib.results.in_short import Short, named
+from calib.results.in_short import Short, names_in_line
 from calib.structure.function_model import FunctionModel
 from calib.structure.located import sensor_partners
 from calib.structure.modal_function import ModalFunctionModel
@@ -96,7 +96,7 @@ class Test(Short, ABC):
         held = [str(one) for name in vars(self) if name.startswith("held_out") for one in getattr(self, name)]
         lines = [f"{self.name}:" if self.name else "a test:"]
         lines += [f"condition: {', '.join(f'{n} = {v:g}' for n, v in self.condition.items())}"] * bool(self.condition)
-        lines += [f"validation data: {named(held)}"] * bool(held)
+        lines += [f"validation data: {names_in_line(held)}"] * bool(held)
         return "\n".join([*lines, str(self.measured)])
 
     @property

@@ -197,7 +197,7 @@ class JointAdapter:
         return {stage: self.hypotheses.of(test, candidate_fit, held_sd) for stage, candidate_fit in stages.items()}
 
 
-def together(adapters: Mapping[str, Adapter]) -> Adapter:
+def joined_adapter(adapters: Mapping[str, Adapter]) -> Adapter:
     """The adapter of all tests together; of a single test its own."""
     return JointAdapter.of(adapters) if len(adapters) > 1 else next(iter(adapters.values()))
 

@@ -107,7 +107,7 @@ class _Linear:
         return float(likelihood), -inverse.T @ half, inverse.T @ inverse
 
 
-def tests_of(problem: JointProblem, name: str) -> list[str]:
+def tests_that_free(problem: JointProblem, name: str) -> list[str]:
     """Tests in which a parameter is free: those that neither lack it nor hold it at a value of their own."""
     return [test for test, part in problem.parts.items() if name in (p.name for p in part.space.free)]
 
@@ -124,11 +124,11 @@ def between_tests(problem: JointProblem, varies: Sequence[str], values: Mapping[
     ----------
     problem : JointProblem
     varies : sequence of str
-        Fitted parameters of at least three tests; see `tests_of`.
+        Fitted parameters of at least three tests; see `tests_that_free`.
     values : mapping from str to float
         Of the fit with shared values.
     """
-    acting = {name: tests_of(problem, name) for name in varies}
+    acting = {name: tests_that_free(problem, name) for name in varies}
     chosen = [(name, test) for name in varies for test in acting[name]]
     reach = np.array([problem.space[name].prior_width for name in varies])
     before_fit = problem.residual(values)

@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import EvaluationError, again
+from calib.errors.errors import EvaluationError, raised_anew
 from calib.execution.evaluate import BatchEvaluator, Recorder
 from calib.execution.outcome import Individual, Outcome, failure, point_key
 from calib.inference.genetic import GeneticSearch, GeneticSettings
@@ -187,7 +187,7 @@ def run_case(
         convergence.append((generation, best_misfit if best is not None else math.nan, mean, len(good)))
         progress(generation, settings.generations, best_misfit)
     if best is None:
-        raise again(last_fault, f"case {case.name}: no individual could be evaluated ({last_fault})")
+        raise raised_anew(last_fault, f"case {case.name}: no individual could be evaluated ({last_fault})")
     status = ledger.history(run)["status"].value_counts()
     return CaseResult(
         name=case.name,

@@ -10,7 +10,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import EvaluationError, again
+from calib.errors.errors import EvaluationError, raised_anew
 from calib.inference.region import Region
 from calib.problem.prior import Prior
 from calib.problem.space import ParameterSpace
@@ -207,7 +207,7 @@ def fit_steps(
     yield region.values(first_x), ()
     here = search.at(first_x)
     if here is None:
-        raise again(search.fault, f"the fit cannot start: {search.fault}")
+        raise raised_anew(search.fault, f"the fit cannot start: {search.fault}")
     mu, growth = 0.0, 2.0
     rows: list[tuple[float, ...]] = []
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
@@ -315,7 +315,7 @@ class _Search:
         try:
             residual = np.asarray(self.problem.residual(values), dtype=float)
         except EvaluationError as fault:
-            self.fault = again(fault)
+            self.fault = raised_anew(fault)
             return None
         if not np.all(np.isfinite(residual)):
             self.fault = EvaluationError("the residual is not finite")

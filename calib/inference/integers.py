@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import EvaluationError, InputError, again
-from calib.execution.ahead import in_advance, together
+from calib.errors.errors import EvaluationError, InputError, raised_anew
+from calib.execution.ahead import evaluated_together, in_advance
 from calib.inference.even_weights import EvenWeights
 from calib.inference.gauss_newton import (
     DEFAULT,
@@ -165,7 +165,7 @@ def fit_mixed(
             break
     ends = [end for end in every if end is not None]
     if not ends:
-        raise again(fault)
+        raise raised_anew(fault)
     table = pd.DataFrame(rows, columns=["start", *whole, "misfit", "converged"])
     return MixedResult(min(ends, key=lambda r: r.misfit), tuple(ends), table, tuple(exhausted))
 
@@ -193,7 +193,7 @@ def _scout(walks: Sequence[_Walk], starts: Sequence[Mapping[str, float]], step: 
                 else:
                     requests[k] = request
         asked = [partial(requested, walks[k].problem, request) for k, request in requests.items()]
-        if asked and not together(asked):
+        if asked and not evaluated_together(asked):
             return 0
         step(0.99 * sum(share.values()) / len(share))
     return len(walks)
@@ -265,7 +265,7 @@ class _Walk:
         try:
             found = yield from fit_steps(self.problem, self.space, values, self.prior, self.settings, self.step)
         except EvaluationError as fault:
-            self.fault = again(fault)
+            self.fault = raised_anew(fault)
             self.tried[key] = (math.inf, False)
             return None
         self.tried[key] = (found.misfit, found.converged)

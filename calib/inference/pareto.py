@@ -24,7 +24,7 @@ BENT = 0.1
 
 
 @dataclass(frozen=True)
-class Group:
+class ResponseGroup:
     """One of two objectives: the mean error of some responses.
 
     Attributes
@@ -41,7 +41,7 @@ class Group:
     weight: float
 
     @classmethod
-    def of(cls, name: str, responses: tuple[str, ...], objective: Objective) -> Group:
+    def of(cls, name: str, responses: tuple[str, ...], objective: Objective) -> ResponseGroup:
         """The group of the responses that match; InputError where a pattern matches none."""
         known = objective.weights
         chosen = dict[str, float]()
@@ -67,7 +67,7 @@ class Group:
         return math.fsum(weight * terms[name] for name, weight in self.weights.items()) / len(self.weights)
 
 
-def groups_of(objective: Objective, named: Mapping[str, tuple[str, ...]]) -> tuple[Group, Group]:
+def groups_of(objective: Objective, named: Mapping[str, tuple[str, ...]]) -> tuple[ResponseGroup, ResponseGroup]:
     """The two objectives; without names the frequencies and the shapes of all tests.
 
     Raises
@@ -85,7 +85,7 @@ def groups_of(objective: Objective, named: Mapping[str, tuple[str, ...]]) -> tup
             )  # fmt: skip
         alone = all(name.rpartition(": ")[2].startswith("natural_freq_") for name in others)
         named = {FREQUENCIES if alone else f"{FREQUENCIES} and responses": others, SHAPES: of_shapes}
-    first, second = (Group.of(name, tuple(responses), objective) for name, responses in named.items())
+    first, second = (ResponseGroup.of(name, tuple(responses), objective) for name, responses in named.items())
     if both := [name for name in first.weights if name in second.weights]:
         words = f"{both[0]!r} belongs to {first.name!r} and to {second.name!r}"
         raise InputError(words, place="pareto", remedy="name it in one of them")
@@ -95,7 +95,7 @@ def groups_of(objective: Objective, named: Mapping[str, tuple[str, ...]]) -> tup
 def search_front(
     space: ParameterSpace,
     objective: Objective,
-    groups: tuple[Group, Group],
+    groups: tuple[ResponseGroup, ResponseGroup],
     settings: GeneticSettings,
     evaluator: BatchEvaluator,
     ledger: Recorder,

@@ -17,7 +17,7 @@ from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
 from calib.measurement.rules import RULES
 from calib.results.fingerprint import digest_of
-from calib.results.in_short import Short, marked, named
+from calib.results.in_short import Short, marked, names_in_line
 
 Quantity = Literal["receptance", "mobility", "accelerance"]
 QUANTITIES: Mapping[Quantity, str] = {"receptance": "", "mobility": "s", "accelerance": "s2"}
@@ -120,7 +120,7 @@ class MeasuredFRFs(Short):
             f"{repeats}{marked(self.synthetic)}"
         )
         both = (("responses", self.responses), ("references", self.references))
-        return "\n".join([head, *(f"{what}: {named([one.name for one in sensors])}" for what, sensors in both)])
+        return "\n".join([head, *(f"{what}: {names_in_line([one.name for one in sensors])}" for what, sensors in both)])
 
     def __post_init__(self) -> None:
         place, shape = self._place, (len(self.freq), len(self.responses), len(self.references))

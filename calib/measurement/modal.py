@@ -14,7 +14,7 @@ from calib.errors.errors import InputError
 from calib.measurement.accuracy import NONE_CLAIMED, Accuracy
 from calib.measurement.disagreements import Disagreement
 from calib.measurement.places import Misplaced
-from calib.results.in_short import Short, aligned, marked
+from calib.results.in_short import Short, aligned_lines, marked
 
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 """Direction names; index + 1 is the direction code of the universal file format."""
@@ -207,7 +207,7 @@ class MeasuredModes(Short):
         rows: list[tuple[str, ...]] = [("mode", "natural Hz", "std Hz", "damping %")]
         for mode in zip(self.names, self.natural_freq, self.freq_std, 100 * self.damping_ratio, strict=True):
             rows.append((mode[0], *("" if np.isnan(value) else f"{value:.4g}" for value in mode[1:])))
-        return "\n".join([head, *aligned(rows)])
+        return "\n".join([head, *aligned_lines(rows)])
 
     @property
     def fingerprint(self) -> str:

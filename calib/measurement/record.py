@@ -15,7 +15,7 @@ from calib.measurement.frf import Quantity
 from calib.measurement.frf_units import GRAVITY, LENGTHS
 from calib.measurement.modal import Sensor
 from calib.measurement.places import Misplaced
-from calib.results.in_short import Short, marked, named
+from calib.results.in_short import Short, marked, names_in_line
 
 Motion = Literal["displacement", "velocity", "acceleration"]
 UNITS: Mapping[Motion, str] = {"displacement": "m", "velocity": "m/s", "acceleration": "m/s2"}
@@ -80,7 +80,7 @@ class MeasuredRecord(Short):
         motion = self.motion or "motion not stated"
         head = f"{len(self.values) / self.rate:.4g} s at {self.rate:.6g} Hz, {motion}{marked(self.synthetic)}"
         both = (("sensors", self.sensors), ("forces", self.references))
-        return "\n".join([head, *(f"{what}: {named([one.name for one in own])}" for what, own in both if own)])
+        return "\n".join([head, *(f"{what}: {names_in_line([one.name for one in own])}" for what, own in both if own)])
 
     def __post_init__(self) -> None:
         place = self.source or "record"

@@ -18,7 +18,7 @@ from calib.measurement.files.csv_format import ONE, read_responses_csv
 from calib.measurement.modal import Sensor
 from calib.problem import degrees_of_freedom
 from calib.problem.degrees_of_freedom import dof_each, widened_by
-from calib.results.in_short import Short, aligned
+from calib.results.in_short import Short, aligned_lines
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class MeasuredResponses(Short):
         rows += [
             (name, f"{value:.6g}", "" if std is None else f"{std:.2g}") for name, (value, std) in self.targets.items()
         ]
-        return "\n".join([f"{len(self.targets)} responses", *aligned(rows)])
+        return "\n".join([f"{len(self.targets)} responses", *aligned_lines(rows)])
 
     @property
     def sensors(self) -> tuple[Sensor, ...]:

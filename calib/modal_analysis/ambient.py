@@ -26,9 +26,9 @@ from calib.modal_analysis.stabilisation import Chain
 from calib.modal_analysis.subspace import (
     Correlations,
     Poles,
-    correlations,
     poles_at,
     poles_at_orders,
+    record_correlations,
     samples_needed,
     stable_clusters,
 )
@@ -120,7 +120,7 @@ def _of_setup(
     used = [_prepared(one, None if band is None else high, _samples_least(records)) for one in records]
     scale = np.sqrt(np.mean([np.mean(one.values**2, axis=0) for one in used], axis=0))
     used = [replace(one, values=one.values / scale) for one in used]  # sensors of small motion count as others do
-    table = correlations(used, RULES.parts)
+    table = record_correlations(used, RULES.parts)
     poles = poles_at_orders(table.hankel, table.rows, table.rate)
     chains = tuple(c for c in stable_clusters(poles) if low <= abs(c.pole) / (2 * np.pi) <= high)
     if not chains:

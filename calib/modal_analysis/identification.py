@@ -57,10 +57,11 @@ class Identification(Short):
     of: str = "FRFs"
 
     def __str__(self) -> str:
-        """Verdict, the modes, and what was refused."""
+        """Verdict, the modes, what was refused, and notes."""
         refused = [f"refused: {row['freq']:.4g} Hz, {row['refused']}" for row in self.fit.to_dict("records")
                    if row["refused"]]  # fmt: skip
-        return "\n".join([self.verdict, str(self.modes), *refused])
+        notes = [f"note: {note}" for note in self.modes.notes]
+        return "\n".join([self.verdict, str(self.modes), *refused, *notes])
 
     @property
     def verdict(self) -> str:

@@ -73,7 +73,7 @@ def samples_needed(n_sensors: int, n_parts: int) -> int:
     return RULES.samples_per_row * block_rows(n_sensors) * n_parts
 
 
-def correlations(records: Sequence[MeasuredRecord], n_parts: int) -> Correlations:
+def record_correlations(records: Sequence[MeasuredRecord], n_parts: int) -> Correlations:
     """Block Hankel matrices of records, cut into parts.
 
     Parameters

@@ -8,7 +8,7 @@ from functools import partial
 import numpy as np
 
 from calib.errors.errors import EvaluationError
-from calib.execution.ahead import together
+from calib.execution.ahead import evaluated_together
 from calib.problem.space import Parameter, ParameterSpace
 
 STEP = 1e-4
@@ -49,7 +49,7 @@ def ask_ahead(
 ) -> None:
     """Evaluate both ends of all differences together, where workers share that; see `difference`."""
     ends = [{**values, p.name: end} for p in parameters for end in _ends(values, p, step)]
-    together([partial(function, end) for end in ends])
+    evaluated_together([partial(function, end) for end in ends])
 
 
 def _ends(values: Mapping[str, float], p: Parameter, step: float) -> list[float]:

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 import scipy.linalg as la
 
-from calib.errors.errors import EvaluationError, InputError, again
+from calib.errors.errors import EvaluationError, InputError, raised_anew
 from calib.problem.degrees_of_freedom import behind
 from calib.problem.labels import Label, label_table
 from calib.problem.problem import Counts
@@ -170,7 +170,7 @@ class JointProblem(JointRows):
         try:
             return method(self.own(test, self.space.complete(values)), *more)
         except EvaluationError as fault:
-            raise again(fault, of_test(test, str(fault))) from fault
+            raise raised_anew(fault, of_test(test, str(fault))) from fault
 
 
 def joined(spaces: Mapping[str, ParameterSpace]) -> ParameterSpace:

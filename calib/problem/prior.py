@@ -236,7 +236,9 @@ class Prior:
         return sum(p.log_prior(values[n]) for n, p in known.items()) - 0.5 * float(excess)
 
 
-def correlations(names: Sequence[str], matrix: Sequence[Sequence[float]]) -> dict[str, tuple[tuple[str, float], ...]]:
+def prior_correlations(
+    names: Sequence[str], matrix: Sequence[Sequence[float]]
+) -> dict[str, tuple[tuple[str, float], ...]]:
     """`Parameter.prior_correlation` of every named parameter, from a matrix with a row and a column for each.
 
     Raises

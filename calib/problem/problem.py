@@ -11,7 +11,7 @@ from typing import Any, Generic, Protocol, TypeVar
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import EvaluationError, again
+from calib.errors.errors import EvaluationError, raised_anew
 from calib.execution.ahead import is_collecting
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.problem.labels import Label, Labelled, label_table
@@ -306,7 +306,7 @@ class PairProblem(Generic[P]):
     def _noted(self, key: str, values: dict[str, float]) -> Any:
         """The solution while points are collected: kept for the request that follows, and not counted before it."""
         if key in self._failed:
-            raise again(self._failed[key])
+            raise raised_anew(self._failed[key])
         if key not in self._solved and key not in self._early:
             found = self.pair.solve(values)
             while len(self._early) >= AHEAD:
@@ -317,7 +317,7 @@ class PairProblem(Generic[P]):
     def _found(self, key: str, values: dict[str, float]) -> Any:
         """The stored solution, or a new one."""
         if key in self._failed:
-            raise again(self._failed[key])
+            raise raised_anew(self._failed[key])
         found = self._restored(key)
         if found is not None:
             ahead = self.store is not None and self.store.first_use(self._key, key)

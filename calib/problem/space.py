@@ -16,7 +16,7 @@ from calib.errors.arguments import number, objects
 from calib.errors.errors import InputError
 from calib.problem.constraint import LinearConstraint
 from calib.problem.parameter import Parameter
-from calib.problem.prior import PLACE, correlations
+from calib.problem.prior import PLACE, prior_correlations
 
 __all__ = ["LinearConstraint", "Parameter", "ParameterSpace", "replace_parameters"]
 
@@ -223,9 +223,9 @@ class ParameterSpace:
         Raises
         ------
         InputError
-            For an unknown name, an integer, a uniform prior, and as `calib.problem.prior.correlations`.
+            For an unknown name, an integer, a uniform prior, and as `calib.problem.prior.prior_correlations`.
         """
-        own, space = correlations(names, matrix), self
+        own, space = prior_correlations(names, matrix), self
         for name, correlation in own.items():
             self._require(name, PLACE)
             space = space.replace(name, prior_correlation=correlation)

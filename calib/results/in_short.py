@@ -17,13 +17,13 @@ class Short:
         printer.text(str(self))
 
 
-def named(names: Sequence[str]) -> str:
+def names_in_line(names: Sequence[str]) -> str:
     """Names in a line; of many the first and the last."""
     first = names if len(names) <= MOST else [*names[: MOST - 2], "...", names[-1]]
     return ", ".join(first)
 
 
-def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
+def aligned_lines(rows: Sequence[Sequence[str]]) -> list[str]:
     """Lines of a table whose first row is its heading, columns to the right."""
     shown = rows if len(rows) <= MOST + 1 else rows[: MOST + 1]
     widths = [max(len(row[k]) for row in shown) for k in range(len(rows[0]))]

@@ -124,7 +124,7 @@ class Results:
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write ``name.json``; numbers that are not finite become null. InputError when it cannot be written."""
-        return self._write(f"{name}.json", json.dumps(plain(content), indent=2, allow_nan=False) + "\n")
+        return self._write(f"{name}.json", json.dumps(json_value(content), indent=2, allow_nan=False) + "\n")
 
     def has(self, name: str) -> bool:
         """Whether a file of that name (with suffix) exists."""
@@ -212,12 +212,12 @@ def _clear_drafts(folder: Path) -> None:
                 shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
 
 
-def plain(value: Any) -> Any:
+def json_value(value: Any) -> Any:
     """Values as plain Python types, with None for numbers that are not finite: JSON has none."""
     if isinstance(value, Mapping):
-        return {str(key): plain(own) for key, own in value.items()}
+        return {str(key): json_value(own) for key, own in value.items()}
     if hasattr(value, "tolist"):  # arrays and numbers of NumPy
         value = value.tolist()
     if isinstance(value, list | tuple):
-        return [plain(own) for own in value]
+        return [json_value(own) for own in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value

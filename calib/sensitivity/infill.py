@@ -79,7 +79,7 @@ def tempered(misfit: np.ndarray) -> np.ndarray:
     return weights(high)
 
 
-def chosen(score: np.ndarray, candidates: np.ndarray, designs: np.ndarray, count: int) -> list[int]:
+def chosen_runs(score: np.ndarray, candidates: np.ndarray, designs: np.ndarray, count: int) -> list[int]:
     """Candidates one after the other: the largest score times the squared distance from designs and earlier choices.
 
     Parameters

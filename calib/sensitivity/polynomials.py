@@ -21,7 +21,7 @@ _OWN = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
+class PolynomialTerms:
     """Products of orthonormal Legendre polynomials of inputs between -1 and 1.
 
     Attributes
@@ -34,7 +34,7 @@ class Terms:
     degrees: np.ndarray
 
     @classmethod
-    def of(cls, kind: Kind, inputs: Sequence[int]) -> Terms:
+    def of(cls, kind: Kind, inputs: Sequence[int]) -> PolynomialTerms:
         """All terms of a kind in some inputs, without the constant.
 
         Those of polynomial chaos have degrees whose q-norm (q = 3/4, Blatman and Sudret 2011) is bounded, and at most
@@ -44,19 +44,19 @@ class Terms:
         return _terms(kind, tuple(inputs))
 
     @classmethod
-    def alternatives(cls, kind: Kind, inputs: Sequence[int]) -> tuple[Terms, ...]:
+    def alternatives(cls, kind: Kind, inputs: Sequence[int]) -> tuple[PolynomialTerms, ...]:
         """Term sets of a kind to choose from: of polynomial chaos also those of a total degree (q = 1)."""
         return (_terms(kind, tuple(inputs)), *([_terms(kind, tuple(inputs), 1.0)] if kind == KINDS[-1] else []))
 
     @classmethod
-    def _filled(cls, found: Sequence[tuple[tuple[int, int], ...]]) -> Terms:
+    def _filled(cls, found: Sequence[tuple[tuple[int, int], ...]]) -> PolynomialTerms:
         width = max(map(len, found))
         filled = np.array([[*term, *((term[0][0], 0),) * (width - len(term))] for term in found], dtype=int)
         return cls(filled[:, :, 0], filled[:, :, 1])
 
-    def take(self, which: Sequence[int] | np.ndarray) -> Terms:
+    def take(self, which: Sequence[int] | np.ndarray) -> PolynomialTerms:
         """Some of the terms."""
-        return Terms(self.inputs[which], self.degrees[which])
+        return PolynomialTerms(self.inputs[which], self.degrees[which])
 
     def values(self, z: np.ndarray) -> np.ndarray:
         """The terms (n, n_terms) at points (n, n_inputs)."""
@@ -76,7 +76,7 @@ class Terms:
 
 
 @lru_cache(maxsize=256)
-def _terms(kind: Kind, inputs: tuple[int, ...], q: float = PROGNOSIS.q) -> Terms:
+def _terms(kind: Kind, inputs: tuple[int, ...], q: float = PROGNOSIS.q) -> PolynomialTerms:
     own: list[tuple[tuple[int, int], ...]] = [((i, 1),) for i in inputs]
     if kind == "quadratic":
         products = list(combinations(inputs, 2)) if math.comb(len(inputs), 2) < PROGNOSIS.products else []
@@ -89,7 +89,7 @@ def _terms(kind: Kind, inputs: tuple[int, ...], q: float = PROGNOSIS.q) -> Terms
                 break
             degrees = larger
         own = [tuple(zip(some, d, strict=True)) for d in degrees for some in combinations(inputs, len(d))]
-    return Terms._filled(own)
+    return PolynomialTerms._filled(own)
 
 
 def _bounded(bound: float, most: int, q: float) -> list[tuple[int, ...]]:
@@ -112,7 +112,7 @@ class Polynomial:
     """
 
     kind: Kind
-    terms: Terms
+    terms: PolynomialTerms
     weights: np.ndarray
     constant: float
 
@@ -132,7 +132,7 @@ class Polynomial:
         return np.array([parts[self.terms.of_input(i)].sum() for i in range(count)]) / (whole if whole > 0 else 1.0)
 
 
-def fitted(kind: Kind, z: np.ndarray, y: np.ndarray, values: np.ndarray | None = None) -> Polynomial:
+def fitted_polynomial(kind: Kind, z: np.ndarray, y: np.ndarray, values: np.ndarray | None = None) -> Polynomial:
     """The sparse polynomial of a kind that is expected to predict best, in the inputs that certainly matter.
 
     First terms of all inputs are taken by orthogonal least squares (Chen, Cowan and Grant 1991) as long as the next
@@ -154,7 +154,7 @@ def fitted(kind: Kind, z: np.ndarray, y: np.ndarray, values: np.ndarray | None =
     Polynomial
         Without any term where no input is significant.
     """
-    terms = Terms.of(kind, range(z.shape[1]))
+    terms = PolynomialTerms.of(kind, range(z.shape[1]))
     values = terms.values(z) if values is None else values
     ones = np.ones((len(y), 1))
     best, inputs = of_inputs(kind, z, y, ()), tuple[int, ...]()
@@ -171,16 +171,19 @@ def fitted(kind: Kind, z: np.ndarray, y: np.ndarray, values: np.ndarray | None =
 def of_inputs(kind: Kind, z: np.ndarray, y: np.ndarray, inputs: Sequence[int]) -> Polynomial:
     """The polynomial of some inputs that is expected to predict best; without any term where there is no input."""
     if not inputs:
-        return Polynomial(kind, Terms.of(kind, range(z.shape[1])).take([]), np.zeros(0), float(y.mean()))
+        return Polynomial(kind, PolynomialTerms.of(kind, range(z.shape[1])).take([]), np.zeros(0), float(y.mean()))
     ones = np.ones((len(y), 1))
-    found = [(*_pursued(one.values(z), y, ones, significant=False), one) for one in Terms.alternatives(kind, inputs)]
+    found = [
+        (*_pursued(one.values(z), y, ones, significant=False), one)
+        for one in PolynomialTerms.alternatives(kind, inputs)
+    ]
     kept, _, some = min(found, key=lambda one: one[1])
     own = some.take(kept).values(z)
     weights = np.linalg.lstsq(np.column_stack([ones, own]), y, rcond=None)[0]
     return Polynomial(kind, some.take(kept), weights[1:], float(weights[0]))
 
 
-def _inputs(terms: Terms) -> tuple[int, ...]:
+def _inputs(terms: PolynomialTerms) -> tuple[int, ...]:
     return tuple(sorted({int(i) for i in terms.inputs[terms.degrees > 0]}))
 
 

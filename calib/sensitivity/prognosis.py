@@ -14,7 +14,7 @@ from calib.problem.sampling import sample
 from calib.problem.space import ParameterSpace
 from calib.sensitivity.gaussian_process import GaussianProcess, fitted_process, is_installed
 from calib.sensitivity.partial import table_arrays
-from calib.sensitivity.polynomials import KINDS, Kind, Polynomial, Terms, fitted, of_inputs
+from calib.sensitivity.polynomials import KINDS, Kind, Polynomial, PolynomialTerms, fitted_polynomial, of_inputs
 from calib.sensitivity.rules import PROGNOSIS
 from calib.sensitivity.spearman import same_rows
 
@@ -215,7 +215,7 @@ class _Designs:
         random, n = np.random.default_rng(seed), len(z)
         folds = np.array_split(random.permutation(n), PROGNOSIS.folds)
         counts = random.multinomial(n, np.full(n, 1.0 / n), PROGNOSIS.resamplings).astype(float)
-        values: dict[Kind, np.ndarray] = {kind: Terms.of(kind, range(z.shape[1])).values(z) for kind in KINDS}
+        values: dict[Kind, np.ndarray] = {kind: PolynomialTerms.of(kind, range(z.shape[1])).values(z) for kind in KINDS}
         return cls(z, folds, counts, values)
 
 
@@ -239,10 +239,10 @@ def _best(designs: _Designs, y: np.ndarray) -> _Tried:
         values, predicted, parts = designs.values[kind], np.empty(len(y)), list[Model]()
         for rows in folds:
             kept = np.setdiff1d(np.arange(len(y)), rows)
-            part = fitted(kind, z[kept], y[kept], values[kept])
+            part = fitted_polynomial(kind, z[kept], y[kept], values[kept])
             predicted[rows] = part(z[rows])
             parts.append(part)
-        tried = _Tried(fitted(kind, z, y, values), parts, predicted)
+        tried = _Tried(fitted_polynomial(kind, z, y, values), parts, predicted)
         if best is None or tried.press(y) < (1.0 - PROGNOSIS.better) * best.press(y):
             best = tried
         if best.press(y) < 1e-12 * total:

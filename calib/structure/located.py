@@ -42,7 +42,7 @@ def sensor_rows(model: _Located, sensors: Sequence[Sensor]) -> np.ndarray:
     rows = np.zeros((len(sensors), model.dofs.n_dof))
     least, near = nearest_limit(model), set[tuple[float, ...] | None]()
     for i, sensor in enumerate(sensors):
-        row, distance = row_of(model, sensor)
+        row, distance = sensor_row(model, sensor)
         if distance > least and sensor.point not in near:
             partners = sensor_partners(model, (sensor, *sensors))  # of two places of one node this one counts
             if partners is not None:
@@ -66,7 +66,7 @@ def nearest_limit(model: _Located) -> float:
     return size_limit(model.mesh.points[model.mesh.placed])
 
 
-def row_of(model: _Located, sensor: Sensor) -> tuple[np.ndarray, float]:
+def sensor_row(model: _Located, sensor: Sensor) -> tuple[np.ndarray, float]:
     """Motion at a sensor, (n_dof,), and its distance from the model in m, by coordinates or else by node label.
 
     Raises InputError for an unknown direction, and where neither finds the sensor.
@@ -137,7 +137,7 @@ def _between_nodes(model: _Located, sensors: Sequence[Sensor]) -> NodePartners:
 
     def distances(metres: float) -> np.ndarray:
         moved = [replace(s, point=tuple((metres * p).tolist())) for s, p in zip(sensors, points, strict=True)]
-        return np.array([row_of(model, sensor)[1] for sensor in moved])
+        return np.array([sensor_row(model, sensor)[1] for sensor in moved])
 
     def extent(of: np.ndarray) -> float:
         return float(np.ptp(of, axis=0).max(initial=0.0)) or float(np.abs(of).max(initial=0.0)) or 1.0

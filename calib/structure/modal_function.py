@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from calib.errors.arguments import integer, objects
-from calib.errors.errors import EvaluationError, InputError, again
+from calib.errors.errors import EvaluationError, InputError, raised_anew
 from calib.errors.own_code import defined_at
 from calib.execution.outcome import named_responses
 from calib.measurement.modal import DIRECTIONS, Sensor
@@ -25,7 +25,7 @@ from calib.structure.eigenproblem.mode_tracking import followed_derivatives
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.geometry import Mesh
 from calib.structure.located import sensor_partners
-from calib.structure.modal_result import Numbered, modes_from_result, numbers_of
+from calib.structure.modal_result import Numbered, mode_numbers, modes_from_result
 from calib.structure.model import Assumption
 from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
@@ -61,7 +61,7 @@ class Memory:
             self._found[key] = function, outcome  # keeps the function alive, so that its id is not reused
         known = self._found[key][1]
         if isinstance(known, EvaluationError):
-            raise again(known)
+            raise raised_anew(known)
         return known
 
 
@@ -180,7 +180,7 @@ class ModalFunctionModel(Short):
         Values of other names are passed on: the function may accept the parameters of effects.
         """
         own = {name: v for name, v in values.items() if name in self.space}
-        return numbers_of(self._solved({**self.space.complete(own), **values}), self.sensors)
+        return mode_numbers(self._solved({**self.space.complete(own), **values}), self.sensors)
 
     @property
     def numbers_function(self) -> Callable[[Mapping[str, float]], Mapping[str, float]]:

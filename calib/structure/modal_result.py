@@ -109,7 +109,7 @@ def _array(label: str, given: Any, ndim: int, real: bool = False) -> np.ndarray:
 # -- as named numbers --------------------------------------------------------------------------------------------------
 
 
-def numbers_of(modes: Modes, sensors: Sequence[Sensor]) -> dict[str, float]:
+def mode_numbers(modes: Modes, sensors: Sequence[Sensor]) -> dict[str, float]:
     """Modes as named numbers: frequency, damping ratio, and real and imaginary part of the motion at every sensor."""
     out: dict[str, float] = {}
     for j in range(modes.n_modes):
@@ -144,7 +144,7 @@ class Numbered:
     Attributes
     ----------
     numbers : callable
-        See `numbers_of`.
+        See `mode_numbers`.
     sensors : tuple of Sensor
     damped : bool
     """

@@ -21,7 +21,7 @@ from calib.structure.eigenproblem.derivatives import Analytic
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.energy import strain_energy, strain_energy_shares
 from calib.structure.geometry import DofMap, Locator, Mesh, NodeLocator
-from calib.structure.located import row_of, sensor_rows
+from calib.structure.located import sensor_row, sensor_rows
 from calib.structure.matrices import Terms, affine, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.null_space import without_null
@@ -345,7 +345,7 @@ class StructuralModel(Analytic, Short):
         Raises like `sensor_rows`.
         """
         self.sensor_rows([sensor])
-        return np.array([row_of(self, replace(sensor, direction=d))[0] for d in DIRECTIONS[:3]])
+        return np.array([sensor_row(self, replace(sensor, direction=d))[0] for d in DIRECTIONS[:3]])
 
     def energy_shares(self, values: Mapping[str, float], shapes: np.ndarray, names: Sequence[str]) -> np.ndarray:
         """Share of each mode's strain energy in each named cluster, (n_names, n_modes); see `strain_energy_shares`."""

@@ -7,7 +7,7 @@ from functools import partial
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
-from calib.problem.prior import correlations
+from calib.problem.prior import prior_correlations
 from calib.problem.space import LinearConstraint, ParameterSpace
 from calib.study.settings import ParameterSettings, StudySettings
 
@@ -85,7 +85,7 @@ def _correlated(
         return space
     where = place("prior_correlation", *(["matrix"] if matrix else [])).of("[prior_correlation]")
     try:
-        for name, own in correlations(names, matrix).items():
+        for name, own in prior_correlations(names, matrix).items():
             if name not in lacking:
                 where = place("prior_correlation", "parameters", names.index(name))
                 space = space.replace(name, prior_correlation=own)

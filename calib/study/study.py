@@ -362,7 +362,7 @@ class EvaluationSource:
 class _Extendable:
     """The function of a study, extended by those of its library's effects and its parts that are among the values.
 
-    A function of modes returns them as numbers, see `calib.structure.modal_result.numbers_of`.
+    A function of modes returns them as numbers, see `calib.structure.modal_result.mode_numbers`.
     """
 
     study: LoadedStudy

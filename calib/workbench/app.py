@@ -20,7 +20,7 @@ from calib.execution.outcome import words_of
 from calib.execution.tasks import one_thread
 from calib.report.html import space
 from calib.report.html.study_results import StudyResults
-from calib.results.results import plain
+from calib.results.results import json_value
 from calib.study.study_file import StudyFile
 from calib.workbench.correlation import correlation
 from calib.workbench.designs import designs
@@ -303,7 +303,7 @@ async def _answered(ask: Callable[[], Any], kind: str = "json") -> Response:
 
 
 def _told(content: Any, status: int = 200) -> Response:
-    text = json.dumps(plain(content), separators=(",", ":"), allow_nan=False, default=str)
+    text = json.dumps(json_value(content), separators=(",", ":"), allow_nan=False, default=str)
     return Response(text, status, media_type="application/json")
 
 

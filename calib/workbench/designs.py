@@ -85,7 +85,7 @@ def main(arguments: Sequence[str]) -> None:
     try:
         whole = loaded(Path(file), Path(root), part)
         study = Study(Path(file), Path(root), quick=part.startswith("quick"), listener=Listener(), read=whole)
-        told = json.dumps(columns(steps.listed(study)), separators=(",", ":"))
+        told = json.dumps(columns(steps.designs_step(study)), separators=(",", ":"))
     except InputError as fault:
         sys.exit(fault.sentence)
     sys.stdout.flush()

@@ -39,7 +39,7 @@ from calib.problem.parameter import Parameter
 from calib.report.html.space import MeshMotion
 from calib.report.mesh import read_mesh
 from calib.report.numbers import fixed, percent, significant
-from calib.results.results import Results, plain
+from calib.results.results import Results, json_value
 from calib.structure.reduction.reduced import ReducedModel
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -241,7 +241,7 @@ def main(arguments: Sequence[str]) -> None:
     threading.Thread(target=_read, args=(asked,), daemon=True).start()
 
     def tell(content: Mapping[str, Any]) -> None:
-        print(json.dumps(plain(content), separators=(",", ":"), allow_nan=False), file=told, flush=True)
+        print(json.dumps(json_value(content), separators=(",", ":"), allow_nan=False), file=told, flush=True)
 
     def progress(stage: str, done: float = 0, total: float = 0, best: float = math.nan) -> None:
         tell({"stage": stage, "done": done, "total": total})

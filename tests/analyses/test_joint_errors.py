@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.analyses.explain import adapters_for, by_test, decision
 from calib.api.pairs import library_of
-from calib.hypotheses.joint import together
+from calib.hypotheses.joint import joined_adapter
 from calib.missing.findings import findings
 from calib.missing.hypotheses import Altered
 from calib.missing.linearised_fit import least_squares_fit
@@ -54,7 +54,7 @@ def measured(model, names, name, load=0.0, seed=2):
 
 
 def explained(problem, effects=EFFECTS):
-    adapter = together(adapters_for(problem.study(effects=library_of(problem, effects))))
+    adapter = joined_adapter(adapters_for(problem.study(effects=library_of(problem, effects))))
     found = decision(adapter, ExplainSettings().model_copy(update={"seed": 1}), "explain")
     return SimpleNamespace(adapter=adapter, found=found, answer=findings(adapter, found, 0.0))
 

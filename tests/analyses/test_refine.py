@@ -7,7 +7,7 @@ import pytest
 import calib
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.sensitivity.infill import chosen, coordinates, local_errors, tempered
+from calib.sensitivity.infill import chosen_runs, coordinates, local_errors, tempered
 
 CENTRE = np.array([0.7, 0.3])
 
@@ -82,8 +82,8 @@ def test_weights_leave_a_part_of_the_points():
 
 def test_choices_keep_away_from_designs_and_from_each_other():
     line = np.linspace(0.0, 1.0, 11)[:, None]
-    assert chosen(np.ones(11), line, line[[0]], 2) == [10, 5]
-    assert chosen(np.where(line[:, 0] < 0.55, 1.0, 0.0), line, line[[0]], 1) == [5]
+    assert chosen_runs(np.ones(11), line, line[[0]], 2) == [10, 5]
+    assert chosen_runs(np.where(line[:, 0] < 0.55, 1.0, 0.0), line, line[[0]], 1) == [5]
 
 
 @pytest.mark.medium

@@ -40,7 +40,7 @@ def test_calibrated_values_go_back_into_the_deck(tmp_path):
     one = calib.Study.load(tmp_path / "affine", results=tmp_path / "results", progress=False)
     with pytest.raises(InputError, match="calib calibrate"):
         one.decks(tmp_path / "deck")
-    steps.calibrated(one)
+    steps.calibrate_step(one)
     written = one.decks(tmp_path / "deck")
     assert [path.name for path in written] == ["solve.py", "mesh.bin", "calibrated.csv"]
     assert written[1].read_bytes() == b"\xff\r\n{{ nothing }}"

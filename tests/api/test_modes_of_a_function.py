@@ -9,7 +9,7 @@ import pytest
 import calib
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.structure.modal_result import modes_from, modes_from_result, numbers_of
+from calib.structure.modal_result import mode_numbers, modes_from, modes_from_result
 from tests.api.cantilever import (
     ADOPTED,
     BEAM,
@@ -247,7 +247,7 @@ def test_of_more_modes_the_lowest_are_taken():
 def test_numbers_tell_the_modes_to_the_last_digit(damped):
     shapes = GOOD["shapes"] * (1 + 0.5j) if damped else GOOD["shapes"]
     modes = of(changed(shapes=shapes, damping_ratio=GOOD["damping_ratio"] if damped else None), damped)
-    again = of(modes_from(numbers_of(modes, SENSORS[:2]), SENSORS[:2], damped), damped)
+    again = of(modes_from(mode_numbers(modes, SENSORS[:2]), SENSORS[:2], damped), damped)
     for part in ("natural_freq", "damped_freq", "damping_ratio", "shapes"):
         assert np.array_equal(getattr(modes, part), getattr(again, part))
 

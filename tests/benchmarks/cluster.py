@@ -30,7 +30,7 @@ from calib.analyses.provenance.places import open_evaluator
 from calib.analyses.provenance.recorded import Evaluated
 from calib.analyses.reduction import reduction_of
 from calib.execution.cluster import Cluster
-from calib.execution.cluster_worker import Answer, Packed
+from calib.execution.cluster_worker import Packed, ParcelOutcomes
 from calib.execution.executor import Injected
 from calib.execution.outcome import Function, Outcome
 from calib.problem.sampling import sample
@@ -127,7 +127,7 @@ def costs(page: Page, cluster: Cluster, source: Callable[[], Function], outcome:
     sizes = [("the model, once a worker", len(Packed.of(source, cloudpickle.dumps).content))]
     for count in (1, TOGETHER):
         copies = [replace(outcome, values=dict(point), responses=dict(outcome.responses)) for _ in range(count)]
-        answer = Answer("tcp://127.0.0.1:40000", tuple(copies))
+        answer = ParcelOutcomes("tcp://127.0.0.1:40000", tuple(copies))
         sizes += [
             (f"a task of {count}, {len(point)} parameters", len(pickle.dumps([one.values for one in copies]))),
             (f"its answer, {len(outcome.responses)} responses", len(pickle.dumps(answer))),

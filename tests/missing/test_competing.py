@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from calib.hypotheses.design.imagined import posterior_samples
+from calib.hypotheses.design.imagined import truncated_samples
 from calib.missing.competing import CandidateMeasurement, CompetingModel, CompetingModels, _density, sharpness
 from calib.missing.evidence import ln_evidence
 from calib.missing.linearised_fit import LinearisedFit
@@ -59,7 +59,7 @@ def competing(seed, truth=(0.5, -1.0, 0.3, SIZE), count=40):
     for name, one in zip("ab", effects, strict=True):
         design, names = np.column_stack([theta, one]), (*(f"P{k}" for k in range(P)), name)
         fit = optimum(design[MEASURED], y[MEASURED], np.array([1.0, 1.0, 1.0, SIZE]), names)
-        points = posterior_samples(fit, count, seed)
+        points = truncated_samples(fit, count, seed)
         rows = np.array([design @ [p[n] for n in names] for p in points])
         predicted = design @ [fit.values[n] for n in names]
         there = np.ones(N, dtype=bool)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from calib.hypotheses.design.imagined import posterior_samples
+from calib.hypotheses.design.imagined import truncated_samples
 
 
 @pytest.fixture
@@ -14,7 +14,7 @@ def fit(toy):
 
 
 def table(fit, count=2000, seed=1):
-    return np.array([[p[n] for n in fit.names] for p in posterior_samples(fit, count, seed)])
+    return np.array([[p[n] for n in fit.names] for p in truncated_samples(fit, count, seed)])
 
 
 def test_samples_have_mean_and_covariance_of_the_posterior(fit):
@@ -34,12 +34,12 @@ def test_few_samples_fill_the_magnitude_evenly(fit):
 
 
 def test_the_seed_determines_the_samples(fit):
-    assert posterior_samples(fit, 5, 3) == posterior_samples(fit, 5, 3) != posterior_samples(fit, 5, 4)
+    assert truncated_samples(fit, 5, 3) == truncated_samples(fit, 5, 3) != truncated_samples(fit, 5, 4)
 
 
 def test_a_narrow_posterior_gives_equal_samples(fit):
     sharp = replace(fit, slope=1e9 * fit.slope)
-    for point in posterior_samples(sharp, 5, 1):
+    for point in truncated_samples(sharp, 5, 1):
         assert point == pytest.approx(fit.values, abs=1e-6)
 
 
@@ -55,4 +55,4 @@ def test_samples_stay_within_the_limits_and_fill_them(toy):
 
 def test_parameters_that_were_not_fitted_keep_their_values(fit):
     values = {**fit.values, "place": 3.0}
-    assert all(p["place"] == 3.0 for p in posterior_samples(replace(fit, values=values), 4, 1))
+    assert all(p["place"] == 3.0 for p in truncated_samples(replace(fit, values=values), 4, 1))

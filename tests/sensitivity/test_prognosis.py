@@ -10,7 +10,7 @@ from calib.errors.errors import InputError
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
 from calib.sensitivity import gaussian_process
 from calib.sensitivity import prognosis as module
-from calib.sensitivity.polynomials import KINDS, Terms, fitted, of_inputs
+from calib.sensitivity.polynomials import KINDS, PolynomialTerms, fitted_polynomial, of_inputs
 from tests.sensitivity.known_functions import KNOWN, ishigami
 
 prognosis = module.prognosis
@@ -176,13 +176,13 @@ def test_terms_are_orthonormal_over_uniform_inputs():
     z = np.stack([a.ravel() for a in np.meshgrid(nodes, nodes)], axis=1)
     w = np.outer(weights, weights).ravel() / 4.0
     for kind in KINDS:
-        values = Terms.of(kind, (0, 1)).values(z)
+        values = PolynomialTerms.of(kind, (0, 1)).values(z)
         np.testing.assert_allclose((values * w[:, None]).T @ values, np.eye(values.shape[1]), atol=1e-9)
 
 
 def test_a_polynomial_of_its_own_kind_is_found_exactly():
     z = 2.0 * np.random.default_rng(1).random((60, 6)) - 1.0
-    found = fitted("quadratic", z, 2.0 + z[:, 1] - 0.5 * z[:, 2] * z[:, 4])
+    found = fitted_polynomial("quadratic", z, 2.0 + z[:, 1] - 0.5 * z[:, 2] * z[:, 4])
     assert found.inputs == (1, 2, 4)
     assert found(np.zeros((1, 6)))[0] == pytest.approx(2.0, abs=1e-9)
 
@@ -190,8 +190,8 @@ def test_a_polynomial_of_its_own_kind_is_found_exactly():
 def test_many_inputs_stay_within_reason():
     """Products in pairs of hundreds of inputs are not tried; squares and lines are."""
     z = 2.0 * np.random.default_rng(1).random((150, 300)) - 1.0
-    assert len(Terms.of("quadratic", range(300)).inputs) == 600
-    assert fitted("quadratic", z, 3.0 * z[:, 7] + z[:, 250] ** 2).inputs == (7, 250)
+    assert len(PolynomialTerms.of("quadratic", range(300)).inputs) == 600
+    assert fitted_polynomial("quadratic", z, 3.0 * z[:, 7] + z[:, 250] ** 2).inputs == (7, 250)
 
 
 def test_without_scikit_learn_polynomials_remain_and_it_is_said(monkeypatch):

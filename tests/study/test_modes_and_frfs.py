@@ -11,7 +11,7 @@ from calib.analyses.explain import adapters_for
 from calib.analyses.hypotheses_of_study import adapter_of
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.hypotheses.joint import together
+from calib.hypotheses.joint import joined_adapter
 from calib.report.figures import Figures
 from calib.report.html.study_results import StudyResults
 from calib.results.results import Results
@@ -97,7 +97,7 @@ def test_labels_of_all_tests_keep_the_columns_that_each_brings(both):
 
 @pytest.mark.medium
 def test_lines_of_frfs_reach_the_pattern_of_an_effect_beside_modes(both):
-    adapter = together(adapters_for(both.problem.study()))
+    adapter = joined_adapter(adapters_for(both.problem.study()))
     base = adapter.hypotheses.fit_problem(())
     table = adapter.labels().astype(object).fillna("")
     assert len(table) == len(base.rows) and table["test"].tolist() == [row.test for row in base.rows]

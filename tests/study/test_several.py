@@ -230,7 +230,7 @@ def test_functions_of_modes_in_several_tests_evaluate_no_point_again(functions_i
     (folder / "study.toml").write_text(text.replace(given, "\n".join(tests)))
     effects, counted = [], []
     for _ in range(2):
-        effects.append(steps.explained(calib.Study.load(folder, tmp_path / "results")).effects)
+        effects.append(steps.explain_step(calib.Study.load(folder, tmp_path / "results")).effects)
         counted.append(len((tmp_path / "calls").read_text().splitlines()))
     pd.testing.assert_frame_equal(*effects)
     assert counted[0] > 40 and counted[1] - counted[0] <= 2  # one stored point a test, on purpose

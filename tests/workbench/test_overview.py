@@ -138,9 +138,9 @@ def test_a_part_that_is_not_there_is_the_full_run(here, part):
 
 
 def test_numbers_that_are_not_finite_are_told_as_unknown():
-    from calib.results.results import plain
+    from calib.results.results import json_value
 
-    assert plain({"a": (math.nan, 1.0, [math.inf])}) == {"a": [None, 1.0, [None]]}
+    assert json_value({"a": (math.nan, 1.0, [math.inf])}) == {"a": [None, 1.0, [None]]}
 
 
 @pytest.mark.parametrize(

@@ -111,7 +111,7 @@ def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
             _by_test(result.any.best.statistics.by_test),
             *(Words(words) for words in result.sentences if words not in {*result.doubts, result.why_failed}),
             *_retried(result.any),
-            *suspects(result.any.best.statistics.suspects),
+            *suspect_rows(result.any.best.statistics.suspects),
             Rows.of(ERRORS_TITLE, ("test", "data", *ERRORS), _of_tests(result), left=("data",)),
         ]
     best, held_out_words = result.best, list(held_out(study))
@@ -128,7 +128,7 @@ def calibrated_entries(study: AnyStudy, result: Fitted) -> list[Entry]:
     told = {*result.doubts, *best.answer.warnings, *result.contradictions, result.why_failed}
     out += [Words(sentence) for sentence in result.sentences if sentence not in told]
     out += [
-        *suspects(best.statistics.suspects),
+        *suspect_rows(best.statistics.suspects),
         *map(Words, held_out_words),
         _ends_of_cases(result),
         _cases(result),
@@ -144,7 +144,7 @@ def errors_row(row: Mapping[Any, Any]) -> tuple[str, ...]:
     return str(row["rows"]), decimals(row["rms"], 2), decimals(row["expected"], 2), f"{row['p']:.2g}"
 
 
-def suspects(table: pd.DataFrame) -> Iterator[Rows]:
+def suspect_rows(table: pd.DataFrame) -> Iterator[Rows]:
     """Single data whose removal would make the model fit."""
     guilty = table[table["explains"].astype(bool)]
     rows = [

@@ -176,14 +176,14 @@ def table_lines(
         widths[widest] -= 1
     sides = [str.ljust if k == 0 or name in left else str.rjust for k, name in enumerate(heads)]
     for number, row in enumerate([heads, *cells]):
-        parts = [wrapped(cell, size) for cell, size in zip(row, widths, strict=True)]
+        parts = [wrapped_lines(cell, size) for cell, size in zip(row, widths, strict=True)]
         for k in range(max(map(len, parts))):
             line = [side(part[k] if k < len(part) else "", size)
                     for part, side, size in zip(parts, sides, widths, strict=True)]  # fmt: skip
             yield "  ".join(line).rstrip(), "bold" if number == 0 else None
 
 
-def wrapped(text: str, width: int) -> list[str]:
+def wrapped_lines(text: str, width: int) -> list[str]:
     """Text broken between words; a word longer than the width has a line to itself."""
     return textwrap.wrap(text, width, break_long_words=False, break_on_hyphens=False) or [""]
 

@@ -9,7 +9,7 @@ from typing import Any
 from calib.analyses.added import WORDS, Added, by_group, to_add
 from calib.analyses.extend import Extension
 from calib.analyses.versions import Versions
-from calib.api.entries.calibrated import ERRORS, errors_row, suspects
+from calib.api.entries.calibrated import ERRORS, errors_row, suspect_rows
 from calib.api.entries.compared import held_out
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.accuracy_by_kind import TABLE as ACCURACY_BY_KIND
@@ -48,7 +48,7 @@ def explained_entries(study: AnyStudy, result: ExplanationResult, followed: bool
         *_accuracies(result),
         *_steps(result),
         *_by_test(result),
-        *([] if to_add(found) else suspects(result.tables["suspects_explained"])),
+        *([] if to_add(found) else suspect_rows(result.tables["suspects_explained"])),
         *map(Warned, result.notes),
         Words(f"\nVerdict: {result.verdict}"),
         *(Words(sentence) for sentence in result.sentences if sentence not in in_answer),

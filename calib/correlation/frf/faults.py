@@ -26,7 +26,7 @@ from calib.correlation.modal.fault_library import (
     place_error_words,
     rotation_words,
     shift_size,
-    turned,
+    turned_sensors,
     ways,
 )
 from calib.correlation.modal.pair_faults import CHECK_ORDER, EXCHANGED, exchange_words
@@ -210,7 +210,7 @@ def _of_pairs(measured: MeasuredFRFs) -> Iterator[FRFFault]:
 def _rotations(model: Model, side: Side, sensor: Sensor) -> Iterator[FRFFault]:
     (row,) = model.sensor_rows([sensor])
     what = _what(side, sensor)
-    for source in turned(model, sensor, row):
+    for source in turned_sensors(model, sensor, row):
         axis = source.direction
         error, told = RotationError(sensor, axis, RULES.rotation, side), partial(rotation_words, what, axis)
         lacks = f"The {'force' if side == 'reference' else 'sensor'}'s axis is {sensor.direction}."

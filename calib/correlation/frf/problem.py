@@ -19,7 +19,7 @@ from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
-from calib.structure.effects.loaded import loaded
+from calib.structure.effects.loaded import with_loads
 from calib.structure.eigenproblem.derivatives import beside_roots
 from calib.structure.frf import frf, frf_derivatives
 from calib.structure.model import Assumption, StructuralModel
@@ -83,7 +83,7 @@ class FRFProblem:
         loads = [load for n in self.nuisances for load in n.loads(self.model.whole)]
         errors = tuple(error for n in self.nuisances for error in n.of_channel)
         rows = TransducerRows.of([error for n in self.nuisances for error in n.of_rows], self.measured, self.model)
-        model, own = loaded(self.model, loads), self.model.space
+        model, own = with_loads(self.model, loads), self.model.space
         of_rows = {e.parameter.name: e.parameter for e in rows.errors}  # one error may change several rows
         parameters = (*model.space.parameters, *(e.parameter for e in errors), *of_rows.values())
         parameters += () if self.mesh is None else (self.mesh.parameter,)

@@ -94,14 +94,14 @@ def _of_sensors(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFau
         yield _gain(k, sensor, at)
         if complex_shapes:
             yield _delay(k, sensor, float(measured.natural_freq.max()), at)
-        for source in turned(model, sensor, rows[k]):
+        for source in turned_sensors(model, sensor, rows[k]):
             yield _rotation(k, sensor, source, at)
         yield from _shifts(model, k, sensor, at)
         for source in adjacent_channels(sensors, k):
             yield _cross_talk(k, sensor, source, at)
 
 
-def turned(model: ModalModel, sensor: Sensor, row: np.ndarray) -> Iterator[Sensor]:
+def turned_sensors(model: ModalModel, sensor: Sensor, row: np.ndarray) -> Iterator[Sensor]:
     """The sensor along each other axis of x, y, z along which the model moves there, and not only as along its own.
 
     ``row`` is its motion over the degrees of freedom of the model, (n_dof,). A sensor of a rotation has none.

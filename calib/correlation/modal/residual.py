@@ -16,7 +16,7 @@ from calib.correlation.modal.faulty_modes import FaultyModes
 from calib.correlation.modal.fitted_shape import FittedShape
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.rigid import both_meshes
-from calib.correlation.modal.rows import ModalRow, damping_modes, rows_of, shape_parts
+from calib.correlation.modal.rows import ModalRow, damping_modes, modal_rows, shape_parts
 from calib.correlation.standard_deviations import USUAL, Floors, StandardDeviations, dof_behind, std_for
 from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
@@ -84,7 +84,7 @@ class ModalResidual:
         object.__setattr__(self, "std", std_for(measured, self.floors, self.pool))
         object.__setattr__(self, "_damped", damped)
         object.__setattr__(self, "_parts", parts)
-        object.__setattr__(self, "rows", rows_of(measured, damped, parts))
+        object.__setattr__(self, "rows", modal_rows(measured, damped, parts))
         object.__setattr__(self, "_faulty", FaultyModes(self.problem, self.faults))
 
     @property

@@ -51,7 +51,9 @@ def shape_parts(measured: MeasuredModes) -> tuple[tuple[int, str], ...]:
     return tuple(out)
 
 
-def rows_of(measured: MeasuredModes, damped: Sequence[int], parts: Sequence[tuple[int, str]]) -> tuple[ModalRow, ...]:
+def modal_rows(
+    measured: MeasuredModes, damped: Sequence[int], parts: Sequence[tuple[int, str]]
+) -> tuple[ModalRow, ...]:
     """A row for the frequency of every mode, the damping of some, and every measured entry of parts of shapes."""
     rows = [ModalRow(mode, "frequency") for mode in measured.names]
     rows += [ModalRow(measured.names[i], "damping") for i in damped]

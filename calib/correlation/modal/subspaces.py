@@ -111,7 +111,7 @@ def turned_to_measured(
     if not groups:
         return modes, sensor_shapes
     bases, sensor_shapes, index = _paired(problem, values, modes, groups)
-    found = turned(modes, bases, sensor_shapes, problem.measured.shapes, groups, index)
+    found = turned_modes(modes, bases, sensor_shapes, problem.measured.shapes, groups, index)
     return found, problem.sensor_rows @ found.shapes
 
 
@@ -129,7 +129,7 @@ def _paired(
     return bases, sensor_shapes, problem.pair(shapes, sensor_shapes, shares, modes, known=alike)[0].model_index
 
 
-def turned(
+def turned_modes(
     modes: Modes,
     bases: Modes,
     sensor_shapes: np.ndarray,

@@ -67,7 +67,7 @@ def imagined_linearisations(
         Rows that were measured.
     """
     seeds = np.random.default_rng(seed).integers(2**31, size=len(believed))
-    points = [posterior_samples(one.fit, samples, int(s)) for one, s in zip(believed, seeds, strict=True)]
+    points = [truncated_samples(one.fit, samples, int(s)) for one, s in zip(believed, seeds, strict=True)]
     competing = None
     if len(believed) > 1:
         first, second = (_competing(imagined, b, own, scale) for b, own in zip(believed[:2], points[:2], strict=True))
@@ -175,7 +175,7 @@ def _competing(
     )  # fmt: skip
 
 
-def posterior_samples(fit: LinearisedFit, count: int, seed: int) -> tuple[dict[str, float], ...]:
+def truncated_samples(fit: LinearisedFit, count: int, seed: int) -> tuple[dict[str, float], ...]:
     """Posterior samples of all parameters; the same seed gives the same samples.
 
     The posterior is a Gaussian about the fit (Laplace's approximation), truncated at the limits. The samples are a

@@ -12,7 +12,7 @@ from calib.hypotheses.proposals.proposal import composition_words as in_words
 from calib.missing.local import range_words
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
-from calib.structure.effects.composed import Builder, quoted
+from calib.structure.effects.composed import Builder, python_text
 
 FUNCTION = "proposed_effects"
 """Function of the file that returns the effects."""
@@ -86,16 +86,16 @@ def _effect(rank: int, proposal: Proposal, beside: Sequence[str]) -> list[str]:
         comment += f" The data cannot discriminate it from: {others}{'; ...' if len(proposal.alike) > 3 else ''}."
     lines = [f"# {line}" for line in textwrap.wrap(comment, _WIDE - 12)]
     lines += ["Effect("]
-    lines += [f"    name={quoted(effect.name)},"]
+    lines += [f"    name={python_text(effect.name)},"]
     for key in ("title", "lacks", "look_for", "phrase"):
-        lines.append(f"    {key}={quoted(getattr(effect, key))},")
+        lines.append(f"    {key}={python_text(getattr(effect, key))},")
     lines += _parameter("magnitude=", _with_size(effect.magnitude, proposal.value), ",")
     if effect.nuisance:
         lines += ["    nuisance=("]
         lines += [f"    {line}" for p in effect.nuisance for line in _parameter("", p, ",")]
         lines += ["    ),", "    grid=("]
         lines += [
-            f"        {{{', '.join(f'{quoted(n)}: {v:.5g}' for n, v in point.items())}}}," for point in effect.grid
+            f"        {{{', '.join(f'{python_text(n)}: {v:.5g}' for n, v in point.items())}}}," for point in effect.grid
         ]
         lines += ["    ),"]
     return [*lines, f"    build={effect.name},", "),"]
@@ -110,7 +110,7 @@ def _parameter(lead: str, given: Parameter | tuple[Parameter, float], end: str) 
     p, size = given if isinstance(given, tuple) else (given, float(given.prior_sd or 0.0))
     return [
         f"    {lead}Parameter(",
-        f"        {quoted(p.name)}, {p.value:.5g}, {p.lower:.5g}, {p.upper:.5g}, {quoted(p.unit)},",
-        f"        prior_sd={size:.3g}, description={quoted(p.description)},",
+        f"        {python_text(p.name)}, {p.value:.5g}, {p.lower:.5g}, {p.upper:.5g}, {python_text(p.unit)},",
+        f"        prior_sd={size:.3g}, description={python_text(p.description)},",
         f"    ){end}",
     ]

@@ -44,7 +44,7 @@ class Builder(Protocol):
 
 def _literal(place: Place) -> str:
     part, point = place
-    return f"({None if part is None else quoted(part)}, ({', '.join(repr(float(c)) for c in point)}))"
+    return f"({None if part is None else python_text(part)}, ({', '.join(repr(float(c)) for c in point)}))"
 
 
 @dataclass(frozen=True)
@@ -81,7 +81,7 @@ class ScaledParts:
         for kind in kinds:
             lines.append(f"    {'damping' if self.dissipating else kind}=(")
             lines += [
-                f'        scaled_part(model, "{kind}", {quoted(part)}, "{self.name}"),'
+                f'        scaled_part(model, "{kind}", {python_text(part)}, "{self.name}"),'
                 for own, part in self.parts
                 if own == kind
             ]
@@ -353,7 +353,7 @@ class ScaledByFunction:
     def code(self) -> tuple[str, ...]:
         """See `Builder`."""
         return (
-            f"part = {quoted(self.part)}",
+            f"part = {python_text(self.part)}",
             f'return lambda values: model.function({{**values, part: values.get(part, 0.0) + values["{self.name}"]}})',
         )
 
@@ -371,7 +371,7 @@ OF_MATRICES = (
 """What builds a composed effect of a model of matrices."""
 
 
-def quoted(text: str) -> str:
+def python_text(text: str) -> str:
     """A Python string in double quotes where that needs no escapes."""
     return f'"{text}"' if text.isprintable() and not set(text) & set('"\\') else repr(text)
 
@@ -385,4 +385,4 @@ def _literals(places: Sequence[Place]) -> str:
 
 
 def _names(names: Sequence[str]) -> str:
-    return f"({', '.join(map(quoted, names))}{',' * (len(names) == 1)})"
+    return f"({', '.join(map(python_text, names))}{',' * (len(names) == 1)})"

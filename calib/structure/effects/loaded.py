@@ -34,7 +34,7 @@ class Load:
     rows: np.ndarray
 
 
-def loaded(model: StructuralModel | ReducedModel, loads: Sequence[Load]) -> StructuralModel | ReducedModel:
+def with_loads(model: StructuralModel | ReducedModel, loads: Sequence[Load]) -> StructuralModel | ReducedModel:
     """The model with loads, whose parameters follow its own.
 
     A reduced model keeps its basis: the change of a shape by a load is of first order in the load, and the error of a

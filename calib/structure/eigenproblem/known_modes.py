@@ -129,7 +129,7 @@ def bands(
     return best
 
 
-def rigid_motions(solve: Callable[[np.ndarray], np.ndarray], mass: Any, count: int) -> np.ndarray:
+def rigid_modes(solve: Callable[[np.ndarray], np.ndarray], mass: Any, count: int) -> np.ndarray:
     """Rigid-body motions and mechanisms, orthonormal in the mass, (n_dof, count).
 
     ``solve`` applies the inverse of ``K + s M`` with s far below the squared frequencies, so that few steps of

@@ -15,7 +15,7 @@ import scipy.sparse.linalg as spla
 from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.inertia import symmetric_factor
-from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_motions
+from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_modes
 from calib.structure.modes import Modes
 
 Matrix = Any
@@ -237,7 +237,7 @@ class Undamped(_Modes):
         """
         known, shapes = self.squares, self.all
         if self.rigid:
-            motions = rigid_motions(self._factor(-_FREE * float(known.min())).solve, self.m, self.rigid)
+            motions = rigid_modes(self._factor(-_FREE * float(known.min())).solve, self.m, self.rigid)
             known, shapes = np.concatenate([known, np.zeros(self.rigid)]), np.hstack([shapes, motions])
         factor = self._factor(shift)
         parts = 2 if self.shape_type is complex else 1

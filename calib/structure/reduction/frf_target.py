@@ -11,7 +11,7 @@ import scipy.sparse as sp
 from calib.measurement.frf import Quantity
 from calib.problem.effect import Effect
 from calib.results.fingerprint import digest_of
-from calib.structure.effects.loaded import Load, loaded
+from calib.structure.effects.loaded import Load, with_loads
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.frf import frf, frf_solutions, motion_factor
 from calib.structure.model import StructuralModel
@@ -120,7 +120,7 @@ class FRFTarget:
         known: ReducedModel | None = None,
     ) -> np.ndarray:
         """Undamped modes of the model at named values; see `calib.structure.reduction.growth.Target.snapshots`."""
-        full = loaded(model, self.loads)
+        full = with_loads(model, self.loads)
         assert isinstance(full, StructuralModel)
         stiffness, _, mass = full.matrices(_of(full, values))
         shapes = _modes_below(stiffness, mass, _BEYOND * self.freq_max)
@@ -191,7 +191,7 @@ class FRFTarget:
     def posed(self, reduced: ReducedModel) -> ReducedModel:
         """A reduced base model with the effects and loads: the others take this one."""
         own = reduced.extended(self.effects) if self.effects else reduced
-        whole = loaded(own, self._loads(own.model))
+        whole = with_loads(own, self._loads(own.model))
         assert isinstance(whole, ReducedModel)
         return whole
 

@@ -99,7 +99,7 @@ def reduction_levels(
     while True:
         transformation = np.zeros((n, len(chosen)))
         transformation[chosen], transformation[slaves] = np.eye(len(chosen)), t
-        reduced = projected(k, m, chosen, transformation)
+        reduced = reduction_by(k, m, chosen, transformation)
         yield reduced
         t = static + factor.solve((m_sm + m_ss @ t) @ _per_mass(reduced))
 
@@ -147,10 +147,10 @@ def serep(
         raise EvaluationError(
             f"{len(chosen)} masters tell {apart} of {wanted.shape[1]} shapes apart; give fewer shapes or more masters"
         )
-    return projected(stiffness, mass, chosen, wanted @ la.pinv(wanted[chosen]))
+    return reduction_by(stiffness, mass, chosen, wanted @ la.pinv(wanted[chosen]))
 
 
-def projected(
+def reduction_by(
     stiffness: sp.csc_array, mass: sp.csc_array, masters: np.ndarray, transformation: np.ndarray
 ) -> StaticReduction:
     """The reduction that a transformation (n_dof, n_masters) gives."""
@@ -162,7 +162,7 @@ def _whole(k: sp.csc_array, m: sp.csc_array, masters: np.ndarray) -> Iterator[St
     """Every degree of freedom is a master."""
     transformation = np.eye(k.shape[0])[:, masters]
     while True:
-        yield projected(k, m, masters, transformation)
+        yield reduction_by(k, m, masters, transformation)
 
 
 def _checked(masters: Sequence[int] | np.ndarray, n_dof: int) -> np.ndarray:
