@@ -194,6 +194,7 @@ def look(
     if not {_MODES, _FRFS, _RECORDS} & set(by_kind):
         where = next((path for paths in by_kind.values() for path in paths), "files")
         raise InputError("no modes, FRFs or records are given", place=where, remedy="name the file that holds them")
+    _require_used(by_kind, {"quantity": quantity, "averages": averages, "unit": unit, "length_unit": length_unit})
     modes: MeasuredModes | None = None
     frfs: MeasuredFRFs | None = None
     records: tuple[MeasuredRecord, ...] = ()
@@ -235,6 +236,16 @@ def look(
     ]
     tables["nodes"] = seen.nodes_seen(every)
     return Look(modes, frfs, records, tables, {kind: tuple(own) for kind, own in by_kind.items()})
+
+
+def _require_used(by_kind: Mapping[str, Sequence[Path]], given: Mapping[str, object]) -> None:
+    """InputError for a statement about files of which there are none."""
+    universal = any(path.suffix.lower() in UFF_SUFFIXES for paths in by_kind.values() for path in paths)
+    kinds = {"quantity": {_FRFS}, "averages": {_FRFS}, "unit": {_FRFS, _RECORDS}}
+    for name, value in given.items():
+        if value is not None and not (kinds[name] & set(by_kind) if name in kinds else universal):
+            held = " or ".join(sorted(kinds[name])) if name in kinds else "universal files (tables are in metres)"
+            raise InputError(f"it is that of {held}, of which none are given", place=name, remedy="leave it out")
 
 
 def _coherence(

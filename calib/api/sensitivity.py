@@ -20,6 +20,7 @@ from calib.api.pairs import ledger_or_memory, reporting
 from calib.api.protocols import ProblemLike
 from calib.errors.arguments import integer
 from calib.errors.arguments import path as path_of
+from calib.errors.errors import InputError
 from calib.execution.executor import AnyExecutor, injected
 from calib.results.ledger import Ledger
 from calib.sensitivity.prognosis import Prognosis
@@ -155,6 +156,15 @@ class Assessed(Displayed):
         return f"Assessed({len(self.table)} parameters, {len(self.selected)} selected; {self.answer.samples} samples)"
 
 
+def require_suited(method: str, ignore_constraints: bool, drawn: bool = False) -> None:
+    """InputError where constraints or drawn metamodels are named that a method has none of."""
+    if method == "ranks" and ignore_constraints:
+        words, remedy = "the samples of 'ranks' keep the constraints", "leave it out; 'morris' and 'sobol' take it"
+        raise InputError(words, place="ignore_constraints", remedy=remedy)
+    if method != "ranks" and drawn:
+        raise InputError("it has no metamodels", place=f"method {method}", remedy="use the method 'ranks'")
+
+
 def assessed(
     problem: ProblemLike,
     method: Literal["ranks", "morris", "sobol"],
@@ -164,6 +174,7 @@ def assessed(
     progress: bool,
 ) -> Assessed:
     """See `calib.api.problem.Problem.sensitivity`."""
+    require_suited(method, ignore_constraints)
     settings = with_keys(problem.settings.sensitivity, "sensitivity", keys)
     study = problem.study(problem.settings.model_copy(update={"sensitivity": settings}))
     with (

@@ -59,9 +59,16 @@ def compare_step(study: Any, undamped: bool = False) -> ComparisonResult:
 
 
 def sensitivity_step(
-    study: Any, method: Literal["ranks", "morris", "sobol"] = "ranks", ignore_constraints: bool = False
-) -> Sensitivity | Screening:
-    """Of the only test rank correlations over a Latin hypercube, or indices of Morris or Sobol."""
+    study: Any, method: Literal["ranks", "morris", "sobol"] = "ranks", ignore_constraints: bool = False,
+    drawn: bool = False,
+) -> Sensitivity | Screening:  # fmt: skip
+    """Of the only test rank correlations over a Latin hypercube, or indices of Morris or Sobol.
+
+    ``drawn``: whether its metamodels are to be drawn.
+    """
+    from calib.api.sensitivity import require_suited
+
+    require_suited(method, ignore_constraints, drawn)
     if method != "ranks":
         return _screen(study, method, ignore_constraints)
     from calib.analyses.reduction import fingerprints

@@ -198,7 +198,7 @@ class Study:
         answers, entries = dict[str, Any](), {}
         with self._by(executor) as whole:
             for study in whole.tests:
-                found = steps.sensitivity_step(study, method, ignore_constraints)
+                found = steps.sensitivity_step(study, method, ignore_constraints, bool(residuals or surfaces))
                 answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
                 if residuals or surfaces:
                     drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)

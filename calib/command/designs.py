@@ -20,11 +20,13 @@ from calib.command.options import (
     groups_named,
     limits_of,
     possible,
+    require_used,
 )
 from calib.results.results import RESULTS
 
 
 def list_designs(
+    context: typer.Context,
     study: StudyPath,
     best: Annotated[int, typer.Option("--best", min=1, metavar="N", help="Designs that are printed.")] = 12,
     feasible: Annotated[bool, typer.Option("--feasible", help="Leave out those that failed.")] = False,
@@ -48,6 +50,8 @@ def list_designs(
     verbose: Verbose = False,
 ) -> None:
     """List the designs that searches and samples have evaluated: values, responses and errors, the best first."""
+    if design is not None and not parallel and not draw:  # pictures mark the best ones
+        require_used(context, ("best",), "--design, which tells one design alone,")
     with loaded_study("designs", study, results, verbose, quick=quick) as loaded:
         loaded.designs(
             best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel,

@@ -63,6 +63,14 @@ def groups_named(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {name: comma_separated(responses) for name, _, responses in pairs}
 
 
+def require_used(context: typer.Context, unused: Sequence[str], form: str, remedy: str = "leave it out") -> None:
+    """InputError for an option that was typed, but that this form of the command would ignore."""
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name in unused and source is not None and source.name == "COMMANDLINE":
+            raise InputError(f"{form} does not use it", place=option.opts[0], remedy=remedy)
+
+
 StudyPath = Annotated[Path, typer.Argument(metavar="STUDY", callback=possible, help="Folder with a study.toml.")]
 ResultsPath = Annotated[
     Path, typer.Option("--results", metavar="DIR", callback=possible, help="Where <study>/ with the results goes.")

@@ -18,8 +18,9 @@ from calib.results.ledger.schema import VERSION
 
 _PATIENCE = 0.05
 """Seconds that a reader waits for a lock."""
+# By its index on generations SQLite would go through the whole history, for some hundred new rows.
 _OF_GENERATIONS = (
-    "FROM history JOIN run ON run.id = history.run WHERE history.id > ?"
+    "FROM history NOT INDEXED JOIN run ON run.id = history.run WHERE history.id > ?"
     " GROUP BY history.run, generation ORDER BY history.run, generation"
 )
 # SQLite takes key and state from the row of the minimum, where it is the only one in the query.

@@ -14,6 +14,7 @@ from calib.command import cli
 from calib.command.example import write_example
 from calib.execution.outcome import Individual, Outcome, point_key
 from calib.results.ledger import Ledger
+from calib.workbench import search
 from calib.workbench.search import LedgerReader, latest_of_cases
 
 RUN, OTHER = "GB1:1:0123456789abcdef", "GB2:2:fedcba9876543210"
@@ -46,6 +47,15 @@ def test_curves_grow_generation_by_generation(ledger, path):
     assert first.generations == [[1, 3.0, 4.0], [2, 3.0, 5.0]]  # best so far, mean of the generation
     assert second.generations == [[1, 1.5, 1.5]] and second.best[0] == 1.5
     assert first.generations_since(0) == first.generations and first.generations_since(3) == [[2, 3.0, 5.0]]
+
+
+@pytest.mark.parametrize("query", [search._GENERATIONS, search._LASTS])
+def test_what_is_known_of_a_history_is_not_gone_through_again(ledger, path, query):
+    for generation in range(1, 20):
+        ledger.record(RUN, "f", generation, individuals(*map(float, range(generation, 50 + generation))))
+    with contextlib.closing(sqlite3.connect(path)) as database:
+        plan = [str(row[3]) for row in database.execute(f"EXPLAIN QUERY PLAN {query}", (900,))]
+    assert plan[0].startswith("SEARCH history USING INTEGER PRIMARY KEY")
 
 
 def test_infeasible_individuals_have_no_misfit(ledger, path):

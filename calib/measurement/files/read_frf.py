@@ -150,6 +150,9 @@ def frfs_and_repeats(files: Named, how: FRFReading) -> tuple[MeasuredFRFs, tuple
     if channels and hits:
         remedy = "name its columns: 'force 3z' and 12z; a universal file names its own"
         raise InputError("channels are given beside hammer records", place=paths[0], remedy=remedy)
+    if how.estimator != FRFReading.estimator and not hits:
+        remedy = "leave it out; it makes FRFs of hammer records"
+        raise InputError(f"the estimator {how.estimator} is given beside FRFs", place=paths[0], remedy=remedy)
     require_no_copies(paths)
     table = read_sensor_table(table_path) if table_path is not None else {}
     metres = parse_length_unit(how.length_unit)
