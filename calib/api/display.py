@@ -131,7 +131,7 @@ class Compared(Displayed):
     def lines(self) -> Mapping[str, str]:
         """The answer by the labels of its lines, of several tests test by test, and where the rest is."""
         several, out = len(self.by_test) > 1, dict[str, str]()
-        for name, answer in self.by_test.items():
+        for name in self.by_test:
             for label, text in self.answer_of(name).labelled.items():
                 before = f"{out[label]} " if label in out else ""
                 out[label] = before + (of_test(name, text) if several else text)

@@ -114,7 +114,10 @@ def _with_own_numbers(answer: ComparisonResult, partners: NodePartners | None) -
     if partners is None or answer.partners is None:
         return answer
     renumbered = {f"Check this: {words}" for words in answer.partners.warnings}
-    hints = (*(f"Check this: {words}" for words in partners.warnings), *(h for h in answer.hints if h not in renumbered))
+    hints = (
+        *(f"Check this: {words}" for words in partners.warnings),
+        *(h for h in answer.hints if h not in renumbered),
+    )
     return replace(answer, hints=hints, partners=partners)
 
 

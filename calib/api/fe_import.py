@@ -303,7 +303,7 @@ def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...]
         moved += np.where(rigid > 0, [np.abs(inertia @ rigid), total @ rigid], 0.0)
     heavy = moved[1] > 0
     if np.mean(moved[0][heavy] < _NOTHING * moved[1][heavy]) > _MOST:
-        warnings.append("Most rows of the mass resist no translation, as those of a stiffness do: are the two exchanged?")
+        warnings.append("Most rows of the mass resist no translation, as rows of a stiffness do: are they exchanged?")
     bare = int((inertia.diagonal() == 0).sum())
     notes = [words]
     if bare:

@@ -61,7 +61,8 @@ def import_to_study(
     with one_thread():
         found = import_them(
             files, dofs=dofs, coordinates=coordinates, units=units, stiffness=stiffness or (), mass=mass or (),
-            damping=damping or (), modes=computed, modes_shapes=modes_shapes, measured=measured or (), shapes=shapes or (), sensors=sensors, to=to,
+            damping=damping or (), modes=computed, modes_shapes=modes_shapes,
+            measured=measured or (), shapes=shapes or (), sensors=sensors, to=to,
         )  # fmt: skip
     terminal.tell_entries(found.entries, verbose)
     for line in found.next_steps:

@@ -30,7 +30,7 @@ def bulk_entries(text: str) -> Iterator[tuple[str, list[str]]]:
             continue
         if not re.match(r"[A-Za-z]", bare):
             if name and bare[0] == "=" and re.match(r"=\s*(,|\(?\d|$)", bare):
-                raise ValueError(f"the line {bare[:30]!r} repeats an entry: let the code write all entries (ECHO=PUNCH)")
+                raise ValueError(f"the line {bare[:30]!r} repeats an entry: let the code write all (ECHO=PUNCH)")
             if name and bare[0] in "+*, ":
                 entry += fields_of(bare)
             continue
@@ -79,7 +79,9 @@ def grids(text: str) -> dict[int, Grid]:
             found[int(fields[0])] = [*fields, *[""] * 8]
     return {
         node: Grid(
-            _system(fields[1] or usual[1]), np.array([real(part) for part in fields[2:5]]), _system(fields[5] or usual[5])
+            _system(fields[1] or usual[1]),
+            np.array([real(part) for part in fields[2:5]]),
+            _system(fields[5] or usual[5]),
         )
         for node, fields in found.items()
     }

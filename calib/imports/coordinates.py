@@ -1,4 +1,4 @@
-"""Coordinates of nodes from a table, a mesh or a deck: *NODE of Abaqus and CalculiX, GRID of Nastran, NBLOCK of ANSYS."""
+"""Coordinates of nodes from a table, a mesh or a deck: *NODE (Abaqus, CalculiX), GRID (Nastran), NBLOCK (ANSYS)."""
 
 from __future__ import annotations
 

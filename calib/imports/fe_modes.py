@@ -15,7 +15,7 @@ from calib.imports.fil import read_fil
 from calib.imports.frd import read_frd
 from calib.imports.keywords import deck_text, is_keyword, keyword_blocks
 from calib.imports.op2 import read_op2
-from calib.imports.printed import read_printed
+from calib.imports.printed import local_words, read_printed
 from calib.measurement.files.csv_format import is_rigid
 from calib.measurement.files.read import UFF_SUFFIXES, read_modes
 from calib.measurement.frf_units import LENGTHS
@@ -115,8 +115,7 @@ def _without_own_axes(
     if len(kept) == len(motions):
         return kept, ()
     nodes = sorted({node for node, _ in motions if node in own})
-    words = f"{len(nodes)} nodes, such as {nodes[0]}, are printed in directions of their own (*TRANSFORM) and were left "
-    return kept, (words + "out: print them with *NODE PRINT, GLOBAL=YES.",)
+    return kept, (local_words(nodes),)
 
 
 def _as_modes(file: Path, read: ReadModes) -> MeasuredModes:

@@ -13,7 +13,7 @@ _INCLUDE = re.compile(
     r"|^INCLUDE[ \t]+(?:'([^']+)'|\"([^\"]+)\"|(\S+)).*$",
     re.IGNORECASE | re.MULTILINE,
 )
-"""``*INCLUDE, INPUT=name`` of Abaqus and CalculiX, ``INCLUDE 'name'`` of Nastran, whose name may go on in a further line."""
+"""``*INCLUDE, INPUT=name`` of Abaqus and CalculiX, ``INCLUDE 'name'`` of Nastran, whose name may take two lines."""
 _DEEPEST = 20
 """Files within files; more include each other."""
 

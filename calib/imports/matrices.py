@@ -16,7 +16,7 @@ from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
 from calib.imports.dof_file import read_dofs, table_of
-from calib.imports.elements import edges_of, element_edges, element_sets, held_motions, sets_of, transformed_nodes
+from calib.imports.elements import edges_of, element_edges, element_sets, held_motions, sets_of
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.keywords import deck_text, with_included
 from calib.imports.meshes import MESHES, has_elements, read_mesh
@@ -159,8 +159,7 @@ def read_matrices(
 
 def _is_mesh(file: Path) -> bool:
     """Whether a file is a mesh rather than measured modes, which universal files hold too."""
-    suffix = file.suffix.lower()
-    return suffix in MESHES and (suffix not in UFF_SUFFIXES or has_elements(file))
+    return file.suffix.lower() in MESHES and (file.suffix.lower() not in UFF_SUFFIXES or has_elements(file))
 
 
 def _bytes(file: Path) -> bytes:
@@ -259,7 +258,9 @@ def _sorted_out(
     return out, notes
 
 
-def _rows(flat: Sequence[Stored], dofs: Path | None, of_deck: Mapping[str, np.ndarray]) -> tuple[pd.DataFrame, tuple[str, ...]]:
+def _rows(
+    flat: Sequence[Stored], dofs: Path | None, of_deck: Mapping[str, np.ndarray]
+) -> tuple[pd.DataFrame, tuple[str, ...]]:
     """Names of the rows: those of a file of their own, of the matrices, or of the analysis set of a deck."""
     labels = [one.labels for one in flat if one.labels is not None]
     if not labels:
@@ -273,7 +274,7 @@ def _rows(flat: Sequence[Stored], dofs: Path | None, of_deck: Mapping[str, np.nd
         other = "".join(f"; {len(listed)} are {words} of the deck" for words, listed in of_deck.items())
         raise InputError(
             f"no file names their {size} rows{other}", place="matrices",
-            remedy="give node and direction of each row: --dofs TABLE, with the header node,direction, or ANSYS's .mapping",
+            remedy="give node and direction of each row: --dofs TABLE (node,direction), or the .mapping of ANSYS",
         )  # fmt: skip
     alike = all(np.array_equal(one, labels[0]) for one in labels[1:])
     joined = labels[0] if alike else np.unique(np.concatenate(labels), axis=0)

@@ -86,7 +86,10 @@ def read_mesh(file: Path, metres: float = 1.0) -> Mesh:
 
 def has_elements(file: Path) -> bool:
     """Whether a universal file holds elements of a mesh, which one of measured modes does not."""
-    return any(block.kind == _ELEMENTS for block in read_blocks(file))
+    try:
+        return any(block.kind == _ELEMENTS for block in read_blocks(file))
+    except InputError:  # told where it is read
+        return False
 
 
 def _universal(file: Path, metres: float) -> Mesh:
@@ -163,7 +166,7 @@ def _sections(text: str) -> Iterator[tuple[str, str]]:
 
 _Listed = list[tuple[int, int, Sequence[int], Sequence[int]]]
 """Number, type, physical groups and nodes of elements."""
-_Places = list[tuple[int, Sequence[str]]]
+_Places = list[tuple[int, list[str]]]
 
 
 def _gmsh_2(parts: Mapping[str, Sequence[str]]) -> tuple[_Places, _Listed]:
@@ -194,10 +197,10 @@ def _gmsh_4(parts: Mapping[str, Sequence[str]]) -> tuple[_Places, _Listed]:
     listed: _Listed = []
     rows = _rows(parts["Elements"])
     for _ in range(int(next(rows)[0])):
-        dimension, tag, kind, count = map(int, next(rows))
+        dimension, entity, kind, count = map(int, next(rows))
         for _ in range(count):
             number, *nodes = map(int, next(rows))
-            listed.append((number, kind, physical.get((dimension, tag), ()), nodes))
+            listed.append((number, kind, physical.get((dimension, entity), ()), nodes))
     return places, listed
 
 

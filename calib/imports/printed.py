@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -43,9 +43,9 @@ def read_printed(file: Path) -> Found:
     elif "EIGENVALUEOUTPUT" in squeezed:
         modes, shapes = _abaqus(text)
     elif "NODALSOLUTIONPERNODE" in squeezed or "NODALDEGREEOFFREEDOMLISTING" in squeezed:
-        if (system := re.search(r"RESULTSAREIN(?:THE)?(?!THEGLOBAL|GLOBAL)([A-Z]*COORDINATESYSTEM\w*)", squeezed)) is not None:
-            raise InputError(f"its shapes are in another system ({system[1].lower()})", place=file,
-                             remedy="print them in the global one: RSYS,0")  # fmt: skip
+        if (local := re.search(r"RESULTS ARE IN +(?!THE GLOBAL)(.*?)\s*$", text, re.MULTILINE)) is not None:
+            raise InputError(f"its shapes are in {local[1].lower()}", place=file,
+                             remedy="print them in the global system: RSYS,0")  # fmt: skip
         modes, shapes = _ansys(text)
     else:
         raise InputError(
@@ -62,9 +62,8 @@ def read_printed(file: Path) -> Found:
         )  # fmt: skip
     numbers = [mode for mode in modes if mode in shapes] if shapes else list(modes)
     notes = []
-    if local := {int(line.split()[0]) for line in _LOCAL.findall(text)}:
-        notes.append(f"{len(local)} nodes, such as {min(local)}, are printed in directions of their own (*TRANSFORM) and "
-                     "were left out: print them with *NODE PRINT, GLOBAL=YES.")  # fmt: skip
+    if own := {int(line.split()[0]) for line in _LOCAL.findall(text)}:
+        notes.append(local_words(sorted(own)))
     if shapes and len(numbers) < len(modes):
         notes.append(f"{len(modes) - len(numbers)} modes of {file.name} without a printed shape were left out.")
     if not shapes:
@@ -72,6 +71,14 @@ def read_printed(file: Path) -> Found:
     places = {at: None for mode in numbers for at in shapes.get(mode, {})}
     motions = {at: np.array([shapes[mode].get(at, np.nan) for mode in numbers]) for at in places}
     return np.array([modes[mode] for mode in numbers]), motions, {}, tuple(notes)
+
+
+def local_words(nodes: Sequence[int]) -> str:
+    """What is told of nodes whose motions are printed in their own directions."""
+    return (
+        f"{len(nodes)} nodes, such as {nodes[0]}, are printed in directions of their own (*TRANSFORM), and left out: "
+        "print them with *NODE PRINT, GLOBAL=YES."
+    )
 
 
 Modes = dict[int, float]

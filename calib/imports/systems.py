@@ -16,6 +16,7 @@ from calib.imports.bulk import Grid, bulk_entries, grids, real
 from calib.measurement.files.uff_nodes import CoordinateSystem
 from calib.measurement.places import Point
 
+
 @dataclass(frozen=True, eq=False)
 class Defined:
     """A system as it is defined: 0 Cartesian, 1 cylindrical, 2 spherical, and its points A, B and C, (3, 3).

@@ -16,7 +16,7 @@ from calib.execution.temporary import TemporaryFolder
 from calib.measurement.files.uff_sets import pyuff_faults
 
 _MARKER = b"    -1"
-USED_KINDS = (15, 18, 55, 164, 781, 2411, 2414, 2420)
+USED_KINDS = (15, 18, 55, 164, 781, 2411, 2412, 2414, 2420, 2435, 2452, 2467, 2477)
 """Dataset numbers whose text is kept."""
 MODAL = (2, 3, 7)
 """Analysis types that are modes: normal, complex of first order, complex of second order."""
