@@ -187,6 +187,11 @@ def model_of_modes(
     partners : NodePartners or None
         Of measured nodes by distance; None where either side has no coordinates, and numbers count.
     """
+    if measured.has_shapes and not computed.has_shapes:
+        raise InputError(
+            "the measured modes have shapes, and the computed ones have none", place=computed.source or "modes",
+            remedy="give the shapes of a table as modes_shapes (--modes-shapes), or leave the measured ones out",
+        )  # fmt: skip
     own, places = _points(measured), _points(computed)
     partners, of = None, {node: node for node in {s.node for s in measured.sensors}}
     if own and places:

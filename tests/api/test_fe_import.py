@@ -140,3 +140,48 @@ def test_element_sets_reach_the_study_with_their_share_of_the_energy(tmp_path):
     exec(compile((tmp_path / "beam" / "model.py").read_text(), "model.py", "exec"), space)
     again = space["imported"]()
     assert again.mesh.groups == found.model.mesh.groups and {"BEAM", "ROOT", "TIP"} <= set(again.clusters)
+
+
+def free_bar(tmp_path, n=30, **changed):
+    """Matrices of a bar of masses on springs, free; ``changed`` are other matrices."""
+    stiffness = 1e6 * (2 * np.eye(n) - np.eye(n, k=1) - np.eye(n, k=-1))
+    stiffness[0, 0] = stiffness[-1, -1] = 1e6
+    np.savez(
+        tmp_path / "bar.npz",
+        **{"K": stiffness, "M": 2.0 * np.eye(n), "dofs": [[k + 1, 1] for k in range(n)], **changed},
+    )
+    return tmp_path / "bar.npz"
+
+
+def test_a_stiffness_that_is_cut_off_is_refused(tmp_path):
+    whole = calib.import_matrices(free_bar(tmp_path)).model.stiffness({"stiffness": 1.0}).toarray()
+    whole[8:] = whole[:, 8:] = 0.0
+    with pytest.raises(InputError, match=r"22 of 30 rows have mass and no stiffness, such as row 9 \(node 9, x\)"):
+        calib.import_matrices(free_bar(tmp_path, K=whole))
+
+
+def test_a_negative_stiffness_is_named(tmp_path):
+    whole = calib.import_matrices(free_bar(tmp_path)).model.stiffness({"stiffness": 1.0}).toarray()
+    with pytest.raises(InputError, match=r"the stiffness at row \d+ \(node \d+, x\) is -"):
+        calib.import_matrices(free_bar(tmp_path, K=-whole))
+
+
+def test_stiffness_and_mass_that_are_exchanged_are_told(tmp_path):
+    held = calib.import_matrices(free_bar(tmp_path)).model.stiffness({"stiffness": 1.0}).toarray()
+    held[0, 0] *= 2
+    right = calib.import_matrices(free_bar(tmp_path, K=held))
+    assert not right.warnings
+    wrong = calib.import_matrices(free_bar(tmp_path, K=held), stiffness="M", mass="K")
+    assert any("exchanged" in words for words in wrong.warnings)
+
+
+@pytest.mark.medium
+def test_shapes_that_differ_where_frequencies_agree_do_not_accuse_the_matrices(tmp_path):
+    listing = (EXPORTS / "solid_modes.dat").read_text().splitlines()
+    for j, line in enumerate(listing):  # three nodes in exchanged directions, as if printed in local ones
+        cells = line.split()
+        if cells[:1] in (["12"], ["11"], ["10"]) and len(cells) == 4:
+            listing[j] = f"{cells[0]:>10} {cells[3]:>13} {cells[1]:>13} {cells[2]:>13}"
+    (own := tmp_path / "modes.dat").write_text("\n".join(listing) + "\n")
+    found = calib.import_matrices(EXPORTS / "solid.sti", modes=own)
+    assert len(found.warnings) == 1 and "matrices are right" in found.warnings[0]

@@ -273,3 +273,68 @@ def test_the_command_needs_no_study(tmp_path, monkeypatch, capsys):
     assert (tmp_path / "compared" / "mac.csv").is_file()
     for wrong in (["compare"], ["compare", "--modes", "beam.frd"], ["compare", "study", *told[1:]]):
         assert cli.execute(wrong) == 2
+
+
+def test_shapes_of_other_directions_and_listings_without_a_title(tmp_path):
+    (path := tmp_path / "modes.txt").write_text(ansys().replace(" PRINT U    NODAL SOLUTION PER NODE\n", ""))
+    assert read_fe_modes(path).natural_freq == pytest.approx(FREQ, rel=1e-4)
+    path.write_text(ansys().replace("IN THE GLOBAL COORDINATE SYSTEM", "IN COORDINATE SYSTEM     11  "))
+    with pytest.raises(InputError, match=r"in coordinate system +11; .*RSYS,0"):
+        read_fe_modes(path)
+
+
+@pytest.mark.slow
+def test_shapes_of_a_table_of_computed_modes_have_an_option(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    for name, sign in (("fe", 1.0), ("test", -3.0)):
+        rows = [f"{j + 1},{f},natural" for j, f in enumerate(FREQ)]
+        (tmp_path / f"{name}.csv").write_text("mode,freq,freq_kind\n" + "\n".join(rows) + "\n")
+        rows = [f"{j + 1},{k + 1},z,{sign * SHAPES[k, j]:.6f}" for j in range(3) for k in range(6)]
+        (tmp_path / f"{name}_shapes.csv").write_text("mode,node,direction,re\n" + "\n".join(rows) + "\n")
+    line = ["compare", "--modes", "fe.csv", "--measured", "test.csv", "--shapes", "test_shapes.csv"]
+    assert cli.execute(line) == 2 and "fe.csv" in capsys.readouterr().err
+    assert cli.execute([*line, "--modes-shapes", "fe_shapes.csv"]) == 0
+    said = capsys.readouterr().out
+    assert said.count("1.000") >= 3 and "by their numbers" in said
+    (tmp_path / "taken").write_text("")
+    assert cli.execute([*line, "--modes-shapes", "fe_shapes.csv", "--into", "taken"]) == 2
+    assert "--into" in capsys.readouterr().err
+
+
+@pytest.mark.medium
+def test_a_larger_limit_of_the_distance_holds_and_warnings_have_the_numbers_of_the_code():
+    sensors = [calib.Sensor(50 + k, "z", (float(x), 0.0, 0.0)) for k, x in enumerate(X)]
+    computed = calib.modes(FREQ, SHAPES, sensors=sensors)
+    places = [calib.Sensor(k, "z", (float(x) + 0.1, 0.2, 0.0)) for k, x in enumerate(X)]
+    test = calib.modes(FREQ, SHAPES, sensors=places)
+    with pytest.raises(InputError, match="--node-limit"):
+        calib.compare_modes(computed, test)
+    found = calib.compare_modes(computed, test, node_limit=0.25)
+    assert len(found.table) == 3
+    told = [words for words in found.sentences if "as near" in words]
+    assert told and "nodes 50 and 51" in told[0] and len(told) == 1
+    page = found.answer_of("test").then
+    assert found.lines["Next"] == page and "no parameters" in page
+
+
+@pytest.mark.parametrize("factor", [-1.0, 1e-3, 37.0, 1j])
+def test_normalisation_sign_and_phase_of_shapes_do_not_matter(factor):
+    """Shapes normalised by mass, by the largest entry, of either sign and of any phase give one MAC."""
+    masses = np.array([2.0, 1.0, 3.0, 1.0, 2.0, 1.0])
+    by_mass = SHAPES / np.sqrt(masses @ SHAPES**2)
+    names = [f"{k + 1}z" for k in range(6)]
+    found = calib.compare_modes(
+        calib.modes(FREQ, by_mass, sensors=names), calib.modes(FREQ, factor * SHAPES, sensors=names)
+    )
+    assert found.table["mac"].to_numpy() == pytest.approx(1.0, abs=1e-12)
+
+
+def test_a_travelling_wave_is_itself_in_any_phase_and_not_the_one_that_runs_back():
+    angle = 2 * np.pi * np.arange(12) / 12
+    names = [f"{k + 1}z" for k in range(12)]
+    wave = np.exp(1j * angle)[:, None]
+    computed = calib.modes([10.0], wave, sensors=names)
+    for factor, own, mac in ((1j, wave, 1.0), (1.0, wave.conj(), 0.0)):
+        test = calib.ModalTest(calib.modes([10.0], factor * own, sensors=names))
+        (found,) = calib.compare_modes(computed, test).by_test.values()
+        assert found.comparison.mac[0, 0] == pytest.approx(mac, abs=1e-9)

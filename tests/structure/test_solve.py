@@ -356,3 +356,13 @@ def test_a_mode_that_the_iteration_misses_is_detected(monkeypatch, damped, lost)
     monkeypatch.setattr(solve.spla, name, forgetful)
     found = solve_modes(k, c if damped else None, m, 8)
     np.testing.assert_allclose(found.natural_freq, whole.natural_freq, rtol=1e-8)
+
+
+def test_frequencies_beside_rigid_motions_are_as_good_as_their_shapes():
+    """Squares that the iteration has wrong by 1e-6 are mended; those of rigid-body motions stay."""
+    stiffness = sp.csc_array(2 * np.eye(12) - np.eye(12, k=1) - np.eye(12, k=-1) - np.diag([1.0, *[0.0] * 10, 1.0]))
+    squares, shapes = np.linalg.eigh(stiffness.toarray())
+    rough = shapes + 1e-6 * np.random.default_rng(1).standard_normal(shapes.shape)
+    given = np.where(np.arange(12) > 0, squares * (1 + 1e-6), 1e-17)
+    found = solve._refined(given, rough, stiffness, sp.csc_array(np.eye(12)), 1e-6)
+    assert found[0] == 1e-17 and found[1:] == pytest.approx(squares[1:], rel=1e-9)
