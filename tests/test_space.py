@@ -2,6 +2,7 @@ import math
 import re
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from calib.errors.errors import InputError
@@ -118,3 +119,13 @@ def test_limits_over_decades_are_told():
     assert wide_sentence(ParameterSpace(others)) == ""
     assert "k span 6 decades" in wide_sentence(ParameterSpace((wide, *others)))
     assert wide_sentence(ParameterSpace((wide, *others)).freeze({"k": 1e4})) == ""
+
+
+def test_runs_that_reach_near_zero_are_not_spread_over_decades():
+    """The limits are the smallest and largest value: of uniform numbers one of two hundred may lie at a thousandth."""
+    unit = (np.arange(200) + 0.2) / 200
+    runs = pd.DataFrame({"even": unit, "decades": 1e-3 * 1e3**unit})
+    space = ParameterSpace(tuple(Parameter(n, 0.5, float(runs[n].min()), float(runs[n].max())) for n in runs))
+    said = wide_sentence(space, runs)
+    assert "decades span 3 decades" in said and "even" not in said
+    assert "even span 3 decades" in wide_sentence(space)

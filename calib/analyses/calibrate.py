@@ -28,6 +28,7 @@ from calib.analyses.provenance.record import write_record
 from calib.analyses.provenance.recorded import ledger_keys_of_modes, recorded
 from calib.analyses.provenance.stored import confirmed
 from calib.analyses.reduction import fingerprints
+from calib.analyses.sensitivity import wide_sentence_of
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
@@ -36,7 +37,6 @@ from calib.inference.between import LEAST_TESTS, between_tests, tests_that_free
 from calib.inference.cases import Case
 from calib.missing.settings import too_few
 from calib.problem.joint import JointProblem
-from calib.problem.sampling import wide_sentence
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.results.results import Results
@@ -231,7 +231,7 @@ def _assembled(
         errors = errors_at(study, values, best.statistics)
         responses = every_response(study, study.model.space.values, values)
     why = why_failed()
-    told = (*notes, *filter(None, [wide_sentence(study.search_space), why]))
+    told = (*notes, *filter(None, [wide_sentence_of(study, study.search_space), why]))
     return Calibration(
         tuple(found), best, before, {}, agreed, raw, stages, modes, errors, responses, told, retried, why
     )

@@ -143,7 +143,9 @@ def sampled(
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     points = sample(space, count, settings.seed)
     outcomes = evaluated(study, ledger, [space.complete(x) for x in points.points], workers, progress)
-    return measured(space, points, outcomes, names, study.settings.listed, _of_runs(study, names))
+    return measured(
+        space, points, outcomes, names, study.settings.listed, _of_runs(study, names), wide_sentence_of(study, space)
+    )
 
 
 def runs_of(study: AnyStudy) -> Runs | None:
@@ -151,6 +153,12 @@ def runs_of(study: AnyStudy) -> Runs | None:
     models = [one.model for one in study.studies]
     runs = models[0].metamodels if len(models) == 1 and isinstance(models[0], FunctionModel) else None
     return runs if isinstance(runs, Runs) else None
+
+
+def wide_sentence_of(study: AnyStudy, space: ParameterSpace) -> str:
+    """See `calib.problem.sampling.wide_sentence`."""
+    runs = runs_of(study)
+    return wide_sentence(space, None if runs is None else runs.points)
 
 
 def _of_runs(study: AnyStudy, names: Sequence[str]) -> Prognosis | None:
@@ -172,6 +180,7 @@ def measured(
     names: Sequence[str],
     forced: Sequence[str] | None = None,
     metamodels: Prognosis | None = None,
+    wide: str | None = None,
 ) -> Sensitivity:
     """Sensitivity measures of a sample; see `Sensitivity` and `calib.sensitivity.selection.assess`.
 
@@ -187,6 +196,8 @@ def measured(
         Parameters that the user selected.
     metamodels : Prognosis, optional
         Those that gave the responses; by default they are built from the sample.
+    wide : str, optional
+        What is said of wide limits; by default what they say by themselves.
     """
     x = pd.DataFrame(drawn.points, columns=list(space.free_names))
     y = table_of(outcomes, names)
@@ -195,7 +206,7 @@ def measured(
     floor = noise_floor(max(known, 3), max(int(assessment.spearman.notna().sum().sum()), 1))
     why = reasons_sentence(space, reasons(outcomes), len(outcomes))
     samples = pd.concat([x, y], axis=1)
-    unpaired, wide = len(x) - known - failed, wide_sentence(space)
+    unpaired, wide = len(x) - known - failed, wide_sentence(space) if wide is None else wide
     found = metamodels or prognosis(space, x, y)
     return Sensitivity(assessment, len(x), failed, unpaired, drawn.acceptance, floor, samples, why, wide, found)
 

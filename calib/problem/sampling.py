@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.special import ndtri
 
 from calib.errors.errors import InputError
@@ -208,14 +209,23 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     return Sample(np.concatenate(kept)[:count], asked, accepted)
 
 
-def wide_sentence(space: ParameterSpace) -> str:
-    """Says which free parameters have limits that span more than `DECADES`; empty for none."""
+def wide_sentence(space: ParameterSpace, runs: pd.DataFrame | None = None) -> str:
+    """Says which free parameters have limits that span more than `DECADES`; empty for none.
+
+    Where the limits are the smallest and the largest value of ``runs`` (n_runs, n_inputs), a small value near 0 spans
+    decades too. Those are told alone whose median lies nearer to the middle of the decades than to that of the limits.
+    """
     spans = [(p.name, math.log10(p.upper / p.lower)) for p in space.free if 0 < p.lower and not p.integer]
     wide = [(name, decades) for name, decades in spans if decades > DECADES and not space[name].is_log]
+    if runs is not None:
+        ends = {name: (space[name].lower, space[name].upper) for name, _ in wide}
+        half = {name: math.sqrt(math.sqrt(low * high) * (low + high) / 2.0) for name, (low, high) in ends.items()}
+        wide = [(n, decades) for n, decades in wide if n not in runs or float(runs[n].median()) < half[n]]
     if not wide:
         return ""
     names = ", ".join(f"{name} span {decades:.2g} decades" for name, decades in wide)
+    between = "metamodels and searches" if runs is not None else "samples and searches"
     return (
-        f"The limits of {names}: samples and searches between them are uniform, so that nine tenths lie in the "
+        f"The limits of {names}: {between} between them are uniform, so that nine tenths lie in the "
         'uppermost decade and the others are hardly seen. State scale = "log" there, or narrow the limits.'
     )
