@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import math
+import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -36,6 +39,8 @@ _IN_LEGEND = 11
 """Largest mark of the legend, points."""
 _SENSOR: dict[str, Any] = {"marker": "o", "color": GREY, "markersize": 4}
 _LINES = {"linestyle": "none", "clip_on": False}
+_BESIDE_BARS = 64
+"""Characters of a line of the legend that end before the labels of the bars."""
 _PLACES = 2
 """Places of effects that are written."""
 _PANEL = 0.72
@@ -74,7 +79,10 @@ class AnsweredPlace:
         """What each mark of the picture stands for, by ``star``, ``diamond`` and ``ring``; ``what`` for the effects."""
         out = {}
         if len(self.acts):
-            out["star"] = f"{what},\n{places(self.acts.tolist(), _PLACES)} m by the list of causes"
+            first = places(self.acts[:_PLACES].tolist(), _PLACES)
+            more = len(self.acts) - _PLACES
+            also = f" and {more} more place{'s' if more > 1 else ''}" if more > 0 else ""
+            out["star"] = f"{what},\n{first} m{also} by the list of causes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m from the star"
             best = f"by the data alone,\n{self.alone} fits best"
@@ -143,8 +151,8 @@ def most_telling_error(errors: pd.DataFrame | None) -> pd.DataFrame | None:
 def answer_figure(
     rest: np.ndarray,
     found: AnsweredPlace,
-    what: str,
-    size: str = "",
+    what: Sequence[str],
+    sizes: Mapping[str, str] = MappingProxyType({}),
     sensors: pd.DataFrame | None = None,
     errors: pd.DataFrame | None = None,
 ) -> Figure:
@@ -155,10 +163,10 @@ def answer_figure(
     rest : ndarray (n, 2, 3)
         Lines of the model, m.
     found : AnsweredPlace
-    what : str
+    what : sequence of str
         What is missing, as the labels name it.
-    size : str
-        Its magnitude in words.
+    sizes : mapping from str to str
+        Magnitude of each of them in words, where it is known.
     sensors : DataFrame, optional
         Columns ``sensor, x, y, z`` (m).
     errors : DataFrame, optional
@@ -173,7 +181,9 @@ def answer_figure(
     wide = _PANEL if bars is not None else 1.0
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
-    marks = found.marks(f"{what}, {size}" if size else what)
+    marks = found.marks(",\n".join(f"{one}, {sizes[one]}" if sizes.get(one) else one for one in what))
+    if bars is not None:  # whose labels stand beside
+        marks = {mark: _folded(text) for mark, text in marks.items()}
     foot = max(0.15 + 0.2 * sum(1 + text.count("\n") for text in marks.values()), 0.8)
     height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
     figure = scene.new_scene(height, foot)
@@ -217,16 +227,21 @@ def answer_figure(
     return figure
 
 
+def _folded(text: str) -> str:
+    return "\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, _BESIDE_BARS))
+
+
 def _mark(ax: Axes3D, points: np.ndarray, gid: str, look: dict[str, Any], order: int) -> None:
     ax.plot(*scene.plot_coordinates(points).T, gid=gid, zorder=order, **_LINES, **look)
 
 
-def _draw_pair(ax: Axes, bars: pd.DataFrame, what: str) -> None:
+def _draw_pair(ax: Axes, bars: pd.DataFrame, what: Sequence[str]) -> None:
     """One pair of bars, and lines at what a correct model would reach with this noise."""
     values, expected = (bars[name].to_numpy(dtype=float) for name in ("rms", "expected"))
-    for k, (stage, colour, label) in enumerate((("before", AFTER, "without"), ("after", WITH, "with it"))):
+    without, with_it = ("without\nthem", "with\nthem") if len(what) > 1 else ("\n".join(["without", *what]), "with it")
+    for k, (stage, colour, label) in enumerate((("before", AFTER, "without"), ("after", WITH, with_it))):
         (bar,) = ax.bar([k], [values[k]], 0.62, color=colour, gid=stage)
-        hover(bar, f"{label}: {fixed(values[k], 2)} σ")
+        hover(bar, f"{' '.join(label.split())}: {fixed(values[k], 2)} σ")
         ax.annotate(
             fixed(values[k], 2),
             (k, np.nanmax([values[k], expected[k]])),
@@ -235,7 +250,7 @@ def _draw_pair(ax: Axes, bars: pd.DataFrame, what: str) -> None:
             ha="center",
         )
         ax.hlines(expected[k], k - 0.42, k + 0.42, color=BLACK, linewidth=1.6, gid=f"expected {stage}")
-    ax.set_xticks([0, 1], [f"without\n{what}", "with it"])
+    ax.set_xticks([0, 1], [without, with_it])
     ax.set_xlim(-0.6, 1.6)
     ax.set_ylim(0.0, 1.15 * float(np.nanmax([*values, *expected])))
     group = str(bars["group"].iloc[0]) if "group" in bars else "fit"

@@ -30,7 +30,7 @@ from calib.report.verification import (
 )
 from calib.report.where import perturbation_map_figure, sensor_misfit_figure
 from calib.report.why import BY_TEST, why_figure
-from calib.results.answer import in_prose
+from calib.results.answer import in_prose, names_in_words
 
 
 def plan_explanation(folder: Folder) -> Iterator[Drawing]:
@@ -127,12 +127,12 @@ def _misfits(folder: Folder, kinds: pd.DataFrame | None, rest: np.ndarray | None
         yield Drawing("perturbation_map", caption, draw, ("perturbations",))
 
 
-def _sizes(effects: pd.DataFrame, names: Sequence[str]) -> list[str]:
+def _sizes(effects: pd.DataFrame, names: Sequence[str]) -> dict[str, str]:
     """Fitted magnitude of each of these effects with its 95 % interval, in words; empty where ends are not known."""
     if not {"magnitude_low", "magnitude_high"} <= set(effects.columns):
-        return []
+        return {}
     rows = effects[effects["name"].isin(list(names)) & effects["magnitude"].notna()]
-    return [magnitude_in_words(r, "95 %: ") for r in rows.to_dict("records")]
+    return {str(r["name"]): magnitude_in_words(r, "95 %: ") for r in rows.to_dict("records")}
 
 
 def read_place(folder: Folder, attempt: bool) -> AnsweredPlace | None:
@@ -152,15 +152,17 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
     sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected"])
     why = None if attempt else _read(folder, "why", ["effect"], [])
-    what = "" if why is None else " and ".join(map(in_prose, dict.fromkeys(why["effect"])))
+    missing = [] if why is None else list(dict.fromkeys(map(str, why["effect"])))
+    what = [in_prose(name) for name in missing]
     ends = ["magnitude_low", "magnitude_high"]
     effects = _read(folder, "effects", ["name"], ["magnitude"], blank=["unit"], if_there=ends)
-    size = "" if effects is None or why is None else "; ".join(_sizes(effects, list(why["effect"].unique())))
+    sizes = {} if effects is None else {in_prose(name): own for name, own in _sizes(effects, missing).items()}
     shown = None if attempt else errors if both is None else both
-    draw = bound(answer_figure, rest, found, what, size, sensors, shown)
+    draw = bound(answer_figure, rest, found, what, sizes, sensors, shown)
     named = ["sensors", "effect_places", "why", "perturbations", "effects", "errors", "added_errors"]
     tables = existing(folder, named)
-    yield Drawing("answer", f"where to look for the {what}" if len(found.acts) else "where to look", draw, tables)
+    of = f" for the {names_in_words(what)}" if len(found.acts) and what else ""
+    yield Drawing("answer", f"where to look{of}", draw, tables)
 
 
 def _suspects(folder: Folder) -> Iterator[Drawing]:

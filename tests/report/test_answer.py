@@ -1,5 +1,7 @@
 """The picture of an answer shows the place of the effect, that of the data alone, and the error without and with it."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
@@ -60,7 +62,7 @@ def marks(figure, gid):
 def test_stars_stand_where_the_named_effect_acts_and_only_there(sensors, acts, pattern, local, errors):
     found = answered_place(sensors, acts, pattern, local)
     with style():
-        figure = answer_figure(REST, found, "unit", "64 kg", sensors, errors)
+        figure = answer_figure(REST, found, ["unit"], {"unit": "64 kg"}, sensors, errors)
     np.testing.assert_allclose(marks(figure, "acts"), [[3, 0, 0], [3, 0, 2]])
     np.testing.assert_allclose(marks(figure, "alone"), [[4, 0, 0]])
     np.testing.assert_allclose(marks(figure, "shows"), [[4, 0, 2]])
@@ -70,9 +72,31 @@ def test_stars_stand_where_the_named_effect_acts_and_only_there(sensors, acts, p
     assert "unit, 64 kg" in words and "sensor 2y fits best, 1 m from the star" in words and "sensor 3y" in words
 
 
+def test_each_of_several_effects_has_a_line_with_its_own_size_within_the_figure(sensors, acts, pattern, local, errors):
+    """Sizes come in the order of their evidence, which is another one."""
+    what = ["mass of the crossbar", "soft mounts of the dampers", "uneven springs"]
+    sizes = {name: f"{k} mm (95 %: {k} to {k})" for k, name in enumerate(reversed(what), 100)}
+    found = answered_place(sensors, acts, pattern, local)
+    with style():
+        figure = answer_figure(REST, found, what, sizes, sensors, errors)
+        figure.canvas.draw()
+    star = figure.legends[0].get_texts()[0].get_text().splitlines()
+    assert star[:3] == [f"{name}, {sizes[name]}," for name in what]
+    assert (
+        found.marks("unit")["star"].splitlines()[1]
+        == "(+3.00, +0.00, +0.00) and (+3.00, +0.00, +2.00) m by the list of causes"
+    )
+    many = replace(found, acts=np.vstack([found.acts, found.acts]))
+    assert " m and 2 more places by the list of causes" in many.marks("unit")["star"]
+    assert [text.get_text() for text in figure.axes[-1].get_xticklabels()] == ["without\nthem", "with\nthem"]
+    bars = figure.axes[-1].get_tightbbox()
+    legend = figure.legends[0].get_window_extent()
+    assert legend.x1 < figure.bbox.x1 and not (legend.x1 > bars.x0 and legend.y1 > bars.y0)
+
+
 def test_the_bars_are_the_error_in_data_that_no_fit_has_seen(sensors, acts, pattern, local, errors):
     with style():
-        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), "unit", "", sensors, errors)
+        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), ["unit"], {}, sensors, errors)
     bars = {bar.get_gid(): bar.get_height() for bar in figure.axes[-1].patches}
     assert bars == {"before": 3.0, "after": 1.2}
     used = most_telling_error(errors[errors["group"] != "held_out_sensors"])
@@ -87,7 +111,7 @@ def test_without_a_named_effect_the_picture_shows_where_the_data_point(sensors, 
     found = answered_place(sensors, acts, None, local)
     assert not len(found.acts) and found.alone == "added mass at sensor 2y" and np.isnan(found.away)
     with style():
-        figure = answer_figure(REST, found, "", "", sensors)
+        figure = answer_figure(REST, found, [], {}, sensors)
     assert len(figure.axes) == 2  # the model and its axes
     assert {line.get_gid() for line in figure.axes[0].lines} >= {"alone", "sensors", "model"}
 

@@ -16,7 +16,7 @@ from calib.report.html.cells import flagged
 from calib.report.html.effects import ranked_effects
 from calib.report.html.study_results import StudyResults
 from calib.report.numbers import fixed, flag, magnitude_in_words, significant, with_unit
-from calib.results.answer import in_prose
+from calib.results.answer import in_prose, names_in_words
 
 _NAMED = ("effect", "indistinguishable", "two_effects", "several_effects")
 """Verdicts that name an effect."""
@@ -35,7 +35,7 @@ def place_in_words(results: StudyResults) -> str:
     """The marks of the picture of the place; empty without one."""
     found = _place(results)
     named = [in_prose(str(name)) for name in results.explanation.get("chosen", [])]
-    marks = {} if found is None else found.marks(" and ".join(named))
+    marks = {} if found is None else found.marks(names_in_words(named) if named else "")
     return "; ".join(f"{mark}: {words}" for mark, words in marks.items())
 
 
