@@ -23,6 +23,8 @@ from calib.problem.joint import of_test, prefixed, stacked
 from calib.results.answer import LABEL, Answer
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
     from calib.api.protocols import ProblemLike
     from calib.study.study import LoadedStudy
 
@@ -135,7 +137,8 @@ class Compared(Displayed):
             for label, text in self.answer_of(name).labelled.items():
                 before = f"{out[label]} " if label in out else ""
                 out[label] = before + (of_test(name, text) if several else text)
-        return {**out, "Evidence": ".sentences, .table; all in .by_test"}
+        drawn = f"; .figure(name) draws {', '.join(self.figures)}" if self.figures else ""
+        return {**out, "Evidence": f".sentences, .table; all in .by_test{drawn}"}
 
     def answer_of(self, test: str) -> Answer:
         """The answer of one test; of a model without parameters none recommends a fit."""
@@ -152,6 +155,35 @@ class Compared(Displayed):
             {name: compared_entries(self.studies[name], answer) for name, answer in self.by_test.items()}
         )
         return (*found, *(Words(note, "always") for note in self.notes))
+
+    @property
+    def figures(self) -> tuple[str, ...]:
+        """Names of the figures that it can draw."""
+        from calib.api.page import comparison_figures
+
+        return comparison_figures(self)
+
+    def figure(self, name: str, ax: Axes | None = None, *, test: str = "") -> Axes:
+        """Draw one figure of the comparison of modes.
+
+        Parameters
+        ----------
+        name : str
+            ``frequency_errors``, ``mac``, ``mac_matrix``, ``comac``, ``cross_orthogonality`` or ``self_orthogonality``.
+        ax : Axes, optional
+            Axes to draw on; a new figure by default.
+        test : str
+            Name of the test, where there are several.
+
+        Raises
+        ------
+        InputError
+            For an unknown figure or test, and where the data for it were not measured.
+        """
+        from calib.api.page import draw_comparison_figure
+
+        chosen = self._chosen(test)
+        return draw_comparison_figure(self.by_test[chosen], name, f"test {chosen}", ax)
 
     def report(self, path: str | Path) -> tuple[Path, ...]:
         """Write the comparison as an HTML page with its figures; several tests are told in one. Returns the file."""
@@ -204,16 +236,21 @@ class Compared(Displayed):
         """
         return expanded_shapes(self._modes(test), by, modes)
 
-    def _modes(self, test: str) -> Comparison:
-        """The comparison of the modes of one test; InputError where there is no such."""
+    def _chosen(self, test: str) -> str:
+        """The name of a test, or of the only one; InputError for an unknown one, or none of several."""
         if not test and len(self.by_test) == 1:
             (test,) = self.by_test
         if test not in self.by_test:
             what = f"there is no test {test!r}" if test else f"there are {len(self.by_test)} tests"
             raise InputError(what, place="comparison", remedy=f"name one of them: {', '.join(self.by_test)}")
-        found = self.by_test[test].comparison
+        return test
+
+    def _modes(self, test: str) -> Comparison:
+        """The comparison of the modes of one test; InputError where there is no such."""
+        chosen = self._chosen(test)
+        found = self.by_test[chosen].comparison
         if found is None:
-            raise InputError("it has no modes", place=f"test {test}", remedy="name a test of modes")
+            raise InputError("it has no modes", place=f"test {chosen}", remedy="name a test of modes")
         return found
 
     def __repr__(self) -> str:

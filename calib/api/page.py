@@ -78,8 +78,6 @@ def chosen_test(fit: Solved, name: str) -> tuple[Model, Test]:
 
 def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
     """See `calib.api.fit.Fit.figure`."""
-    from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
-    from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality
     from calib.report.parameters import draw_parameters
 
     if name not in FIGURES:
@@ -91,21 +89,51 @@ def draw_figure(fit: Solved, name: str, test: str, ax: Axes | None) -> Axes:
         return draw_parameters(tables["parameters"], ax, prior=fit.problem.space.frame(), with_misfit=wide)
     if (modes := selected.fitted_modes) is None:
         raise InputError("it has no modes", place=test_place(selected), remedy="draw its parameters")
-    if name != "frequency_errors" and not modes.has_shapes:
-        raise InputError("no shapes were measured", place=test_place(selected), remedy="draw the frequency errors")
-    before, after = compared_stages(fit, selected)
+    _require_shapes(name, modes.has_shapes, test_place(selected))
+    return _draw_stages(name, *compared_stages(fit, selected), ax)
+
+
+def comparison_figures(found: Compared) -> tuple[str, ...]:
+    """Names of the figures that a comparison can draw of at least one of its tests."""
+    modal = [one.comparison for one in found.by_test.values() if one.comparison is not None]
+    shapes = any(comparison.measured.has_shapes for comparison in modal)
+    return FIGURES[:-1] if shapes else FIGURES[:1] * bool(modal)
+
+
+def draw_comparison_figure(found: ComparisonResult, name: str, place: str, ax: Axes | None) -> Axes:
+    """See `calib.api.display.Compared.figure`."""
+    if name not in FIGURES[:-1]:
+        known = ", ".join(FIGURES[:-1])
+        raise InputError(f"there is no figure {name!r}", place="figure", remedy=f"the figures are {known}")
+    if found.comparison is None:
+        raise InputError("it has no modes", place=place, remedy="name a test of modes")
+    _require_shapes(name, found.comparison.measured.has_shapes, place)
+    return _draw_stages(name, found, None, ax)
+
+
+def _require_shapes(name: str, has_shapes: bool, place: str) -> None:
+    if name != "frequency_errors" and not has_shapes:
+        raise InputError("no shapes were measured", place=place, remedy="draw the frequency errors")
+
+
+def _draw_stages(name: str, before: ComparisonResult, after: ComparisonResult | None, ax: Axes | None) -> Axes:
+    """A figure of modes, before a fit and after it; matrices are those of the latter."""
+    from calib.report.comparison import draw_comac, draw_frequency_error, draw_mac, draw_mac_matrix
+    from calib.report.orthogonality import draw_cross_orthogonality, draw_self_orthogonality
+
     if name == "frequency_errors":
-        return draw_frequency_error(before.table, after.table, ax)
+        return draw_frequency_error(before.table, None if after is None else after.table, ax)
     if name == "mac":
-        return draw_mac(before.table, after.table, ax)
-    assert before.comparison is not None and after.comparison is not None
+        return draw_mac(before.table, None if after is None else after.table, ax)
+    first, last = before.comparison, (after or before).comparison
+    assert first is not None and last is not None
     if name == "mac_matrix":
-        return draw_mac_matrix(after.comparison.mac_table(), ax)
+        return draw_mac_matrix(last.mac_table(), ax)
     if name == "cross_orthogonality":
-        return draw_cross_orthogonality(orthogonality(after.comparison).cross_table(), ax)
+        return draw_cross_orthogonality(orthogonality(last).cross_table(), ax)
     if name == "self_orthogonality":
-        return draw_self_orthogonality(orthogonality(after.comparison).self_table(), ax)
-    return draw_comac(before.comparison.comac_table(), after.comparison.comac_table(), ax)
+        return draw_self_orthogonality(orthogonality(last).self_table(), ax)
+    return draw_comac(first.comac_table(), None if after is None else last.comac_table(), ax)
 
 
 def write_page(fit: Solved, path: Path) -> Path:

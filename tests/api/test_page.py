@@ -81,3 +81,45 @@ def test_what_cannot_be_drawn_or_written_is_refused(fit, unrendered, tmp_path):
             fit.figure(name)
     with pytest.raises(calib.InputError):
         fit.report(tmp_path / "nowhere/report.html")
+
+
+def test_a_comparison_draws_the_figures_that_it_names(fit):
+    found = fit.problem.compare()
+    assert found.figures == ("frequency_errors",)  # no shapes were measured
+    assert found.lines["Evidence"].endswith(".figure(name) draws frequency_errors")
+    (bars,) = found.figure("frequency_errors").containers
+    np.testing.assert_allclose(bars.datavalues, 100 * found.table["freq_error"])
+    for name in ("mac", "parameters"):
+        with pytest.raises(calib.InputError):
+            found.figure(name)
+    with pytest.raises(calib.InputError, match="no test 'other'"):
+        found.figure("frequency_errors", test="other")
+
+
+@pytest.fixture(scope="module")
+def stiff_chain():
+    """Three masses on springs, and modes of a chain whose first spring is stiffer, at two of the masses."""
+    stiffness = [np.outer(row, row) for row in (np.eye(3) - np.eye(3, k=-1))]
+
+    def modes(first, rows=(0, 1, 2)):
+        squares, shapes = np.linalg.eigh(1e3 * (first * stiffness[0] + stiffness[1] + stiffness[2]))
+        return np.sqrt(squares) / (2 * np.pi), shapes[list(rows)]
+
+    parameters = [calib.Parameter("k", 1.0, 0.5, 3.0, "kN/m")]
+    model = calib.StructuralModel.from_matrices(
+        stiffness={"first": (stiffness[0], "k"), "others": 1e3 * (stiffness[1] + stiffness[2])}, mass=np.eye(3),
+        dofs=[(n, "x") for n in (1, 2, 3)], parameters=parameters, name="chain",
+    )  # fmt: skip
+    freq, shapes = modes(1.4, (0, 2))
+    measured = calib.modes(freq, shapes, sensors=["1x", "3x"], freq_std=0.001 * freq, shape_std=0.01)
+    return calib.Problem(model, calib.ModalTest(measured)).compare(), (freq, shapes), modes(1.0, (0, 2))
+
+
+@pytest.mark.medium
+def test_the_figures_of_a_comparison_show_frequencies_and_shapes(stiff_chain):
+    found, (freq, shapes), (own_freq, own_shapes) = stiff_chain
+    assert len(found.figures) == 6 and all(found.figure(name) is not None for name in found.figures)
+    (bars,) = found.figure("frequency_errors").containers
+    np.testing.assert_allclose(bars.datavalues, 100 * (own_freq / freq - 1), rtol=1e-6)
+    mac = (shapes.T @ own_shapes) ** 2 / np.outer((shapes**2).sum(0), (own_shapes**2).sum(0))
+    np.testing.assert_allclose(found.figure("mac_matrix").images[0].get_array(), mac, atol=1e-6)
