@@ -12,12 +12,8 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from calib.analyses.answers import FIT, UNFITTED
-from calib.analyses.compare import ComparisonResult, comparison_at
-from calib.analyses.joint_responses import own_values
 from calib.api.entries.entry import Entry, Words, html_of, lines_of
 from calib.api.pairs import reporting
-from calib.correlation.modal.comparison import Comparison
-from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
 from calib.errors.errors import InputError
 from calib.problem.joint import of_test, prefixed, stacked
 from calib.results.answer import LABEL, Answer
@@ -25,7 +21,10 @@ from calib.results.answer import LABEL, Answer
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
+    from calib.analyses.compare import ComparisonResult
     from calib.api.protocols import ProblemLike
+    from calib.correlation.modal.comparison import Comparison
+    from calib.correlation.modal.expansion import By, ExpandedShapes, Orthogonality
     from calib.study.study import LoadedStudy
 
 
@@ -211,6 +210,8 @@ class Compared(Displayed):
         InputError, EvaluationError
             Where shapes or matrices are missing, or the shapes cannot be expanded.
         """
+        from calib.correlation.modal.expansion import orthogonality
+
         return orthogonality(self._modes(test), by)
 
     def expanded(self, test: str = "", by: By = "SEREP", modes: Sequence[int] = ()) -> ExpandedShapes:
@@ -234,6 +235,8 @@ class Compared(Displayed):
         InputError, EvaluationError
             As `orthogonality`.
         """
+        from calib.correlation.modal.expansion import expanded_shapes
+
         return expanded_shapes(self._modes(test), by, modes)
 
     def _chosen(self, test: str) -> str:
@@ -259,6 +262,9 @@ class Compared(Displayed):
 
 def compared(problem: ProblemLike, values: Mapping[str, float] | None) -> Compared:
     """See `calib.api.problem.Problem.compare`; ``values`` of all parameters, by default the nominal ones."""
+    from calib.analyses.compare import comparison_at
+    from calib.analyses.joint_responses import own_values
+
     studies = {one.experiment.name: one for one in problem.study().studies}
     with reporting("compare", False):
         found = {

@@ -14,8 +14,6 @@ from calib.errors.place import Place
 from calib.errors.toml_places import Mark
 from calib.measurement.accuracy import Accuracy, frf_claim
 from calib.measurement.corrections import corrected
-from calib.measurement.files.read import read_modes
-from calib.measurement.files.read_frf import read_frfs
 from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.measurement.responses import MeasuredResponses, read_responses
@@ -153,7 +151,10 @@ class StudyFile:
             return read_responses(self.path(measurement.responses, "measurement", "responses"), measurement.pooling)
         files = [self.path(f, "measurement", "files", k) for k, f in enumerate(measurement.files)]
         sensors = self.path(measurement.sensors, "measurement", "sensors") if measurement.sensors else None
+        # Readers are imported here: a problem in memory reads no file.
         if measurement.kind == "frf":
+            from calib.measurement.files.read_frf import read_frfs
+
             read = read_frfs(
                 files,
                 quantity=measurement.quantity,
@@ -167,6 +168,8 @@ class StudyFile:
                 synthetic=measurement.synthetic,
             )
             return replace(self._lines_of(read), accuracy=frf_claim(measurement.accuracy))
+        from calib.measurement.files.read import read_modes
+
         measured = read_modes(
             files,
             shapes=[self.path(f, "measurement", "shapes", k) for k, f in enumerate(measurement.shapes)],
