@@ -21,6 +21,7 @@ from calib.execution.temporary import LOCK, TemporaryFolder
 from calib.imports.coordinates import DECKS
 from calib.imports.deck import deck_name, deck_of, read_template
 from calib.imports.fe_modes import read_fe_modes
+from calib.imports.keywords import deck_text
 from calib.measurement.files.csv_format import read_responses_csv
 from calib.measurement.frf_units import LENGTHS
 from calib.measurement.modal import MeasuredModes, Sensor
@@ -249,7 +250,10 @@ def _has_nodes(file: Path) -> bool:
     """Whether a file is a deck that defines nodes."""
     if file.suffix.lower() not in DECKS:
         return False
-    return any(line.upper().lstrip().startswith(("*NODE", "GRID")) for line in file.open(errors="replace"))
+    try:
+        return any(line.upper().lstrip().startswith(("*NODE", "GRID")) for line in deck_text(file).splitlines())
+    except InputError:  # of what it includes, the solver tells more
+        return False
 
 
 def solver_model(

@@ -357,3 +357,12 @@ def _wait_for_end(pid):
         except (OSError, ProcessLookupError):
             return
         time.sleep(0.02)
+
+
+def test_a_deck_whose_nodes_are_in_an_included_file_has_nodes(tmp_path):
+    from calib.study.solver import _has_nodes
+
+    (deck := tmp_path / "deck.inp").write_text("*include, input=mesh.inc\n")
+    assert not _has_nodes(deck)
+    (tmp_path / "mesh.inc").write_text("*Node\n1, 0, 0, 0\n")
+    assert _has_nodes(deck)
