@@ -13,7 +13,7 @@ from calib.execution.interrupt import PATIENCE
 from calib.execution.temporary import TemporaryFolder
 from calib.execution.worker import THREAD_VARIABLES
 
-_RUN = "from calib.execution.local_cluster import serve; serve()"
+_RUN = "from calib.execution.local_cluster import run_cluster; run_cluster()"
 
 
 def started(workers: int) -> tuple[str, Callable[[], None]]:
