@@ -223,7 +223,10 @@ class Workbench:
         known = set() if table is None else set(map(str, table["name"]))
         if not isinstance(names, list) or not names or not set(map(str, names)) <= known:
             raise InputError("these are no effects of the explanation", place="add", remedy="explain the study first")
-        self.commands.start_all(study, adding(study, list(map(str, names)), quick), {"effects": names, "quick": quick})
+        whole = self.studies.results(study, "quick" if quick else "")
+        calibrated = "calibrate" in whole.analyses and not whole.stale.get("calibrate")
+        commands = adding(study, list(map(str, names)), quick, calibrated)
+        self.commands.start_all(study, commands, {"effects": names, "quick": quick})
         return {"runs": self.commands.listing(study)}
 
     def _edit(self, request: Request, given: Mapping[str, Any]) -> Any:

@@ -273,8 +273,12 @@ def _arguments(study: KnownStudy, verb: str, options: Mapping[str, Any]) -> tupl
     return tuple(found)
 
 
-def adding(study: KnownStudy, effects: Sequence[str], quick: bool) -> list[tuple[str, tuple[str, ...]]]:
+def adding(
+    study: KnownStudy, effects: Sequence[str], quick: bool, calibrated: bool
+) -> list[tuple[str, tuple[str, ...]]]:
     """The commands that write a study with further effects among the results and calibrate it.
+
+    The study itself is calibrated first where it was not: else nobody sees how far its errors fall.
 
     Parameters
     ----------
@@ -282,10 +286,14 @@ def adding(study: KnownStudy, effects: Sequence[str], quick: bool) -> list[tuple
     effects : sequence of str
     quick : bool
         Whether to calibrate by a quick run.
+    calibrated : bool
+        Whether the study is.
     """
     new = free_place(study, effects)
     results = ("--results", str(study.root))
+    before = [] if calibrated else [("calibrate", _arguments(study, "calibrate", {"quick": quick}))]
     return [
+        *before,
         ("extend", ("extend", str(study.file.parent), *effects, "--into", str(new), *results)),
         ("calibrate", ("calibrate", str(new), *results, *(["--quick"] * quick))),
     ]

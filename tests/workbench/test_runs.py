@@ -6,11 +6,13 @@ import sys
 import time
 from pathlib import Path
 
+import pandas as pd
 import pytest
 import typer
 
 from calib.command import cli, example
 from calib.errors.errors import InputError
+from calib.report.html.study_results import StudyResults
 from calib.results.running import RunningNote
 from calib.workbench import runs
 from calib.workbench.runs import KINDS, Commands, adding, new_study
@@ -155,12 +157,25 @@ def test_a_command_on_an_extended_study_tells_how_far_it_is_too(study, commands)
 
 
 def test_an_extended_study_has_a_place_of_its_own(study, here):
-    (_, first), (_, second) = adding(study, ["guy", "a b"], quick=True)
+    (_, first), (_, second) = adding(study, ["guy", "a b"], quick=True, calibrated=True)
     place = here / "results/mast/mast_with_guy_a_b"
     assert first == ("extend", "mast", "guy", "a b", "--into", str(place.relative_to(here)), "--results", "results")
     assert second[-1] == "--quick" and Path(second[1]) == place.relative_to(here)
     place.mkdir()
-    assert Path(adding(study, ["guy", "a b"], quick=True)[1][1][1]).name == "mast_with_guy_a_b_2"
+    assert Path(adding(study, ["guy", "a b"], quick=True, calibrated=True)[1][1][1]).name == "mast_with_guy_a_b_2"
+
+
+def test_before_an_effect_is_added_the_study_is_calibrated_once(page, key, monkeypatch):
+    given = []
+    monkeypatch.setattr(Commands, "start_all", lambda self, study, commands, options: given.append(commands))
+    known = {"name": ["guy"], "title": ["Guy"]}
+    monkeypatch.setattr(StudyResults, "table", lambda self, name: pd.DataFrame(known) if name == "effects" else None)
+    asked = f"study/{key}/add?part=quick&test=", {"effects": ["guy"], "quick": True}
+    assert page.post(asked[0], json=asked[1]).status_code == 200
+    monkeypatch.setattr(StudyResults, "analyses", {"calibrate": {"when": "now"}})
+    assert page.post(asked[0], json=asked[1]).status_code == 200
+    first, second = ([(verb, "--quick" in arguments) for verb, arguments in commands] for commands in given)
+    assert first == [("calibrate", True), ("extend", False), ("calibrate", True)] and second == first[1:]
 
 
 def test_the_page_starts_and_stops_a_command(page, key, here, monkeypatch):

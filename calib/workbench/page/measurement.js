@@ -35,7 +35,7 @@ export class Measurement {
     const hold = (what, one) => (found.kind === "modes" ? h("button", { type: "button", onclick: () => this.changes.propose({ what, name: one.name }, this.test) }, one.held_out ? "Use again" : "Hold out") : "");
     const sensor = h("select", { "aria-label": "sensor" }, found.sensors.map((one) => h("option", { value: one.name }, one.held_out ? `${one.name} (held out)` : one.name)));
     const edit = (what, words) => h("button", { type: "button", onclick: () => this.changes.propose({ what, name: sensor.value }, this.test) }, words);
-    this.body.replaceChildren(h("div", { class: "grid search" },
+    this.body.replaceChildren(h("div", { class: "grid search rows" },
       h("div", { class: "stack" },
         panel("What was measured", table([{ title: first, words: true }, ...heads, ""], found.rows.map((one) => h("tr", {},
           h("th", { scope: "row" }, one.name, " ", held(one)), one.cells.map((words) => h("td", {}, words)), h("td", {}, hold("mode", one)))))),

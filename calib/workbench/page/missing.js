@@ -68,7 +68,7 @@ export class Missing {
       h("div", { class: "act" },
         named && !have ? h("button", { type: "button", class: "main", id: "add", disabled: Boolean(pane.running), onclick: () => pane.add(names) }, words) : null,
         named && have ? h("a", { class: "button", href: `#/${have.key}/overview` }, `Open the study with ${names.join(" and ")}`) : null,
-        named && !have ? h("span", { class: "soft small" }, "Writes an extended study among the results and calibrates it; this study stays as it is.") : null,
+        named && !have ? h("span", { class: "soft small" }, `Writes an extended study among the results and calibrates it${this.calibrated ? "" : ", after this study, so that you see how far the errors fall"}; this study stays as it is.`) : null,
         found.composed ? pane.button("propose", "Compose effects that nobody listed") : null),
       h("details", {}, h("summary", { class: "soft" }, "Every sentence of the explanation"), h("div", { class: "stack" },
         [...found.sentences, ...found.notes].map((words) => h("p", { class: "small" }, words))))));
@@ -153,7 +153,7 @@ export class Missing {
     if (now === this.grown) return;
     this.grown = now;
     const calibrated = versions.filter((one) => one.errors.length);
-    if (!calibrated.length || (calibrated.length < 2 && !adding)) { this.family.replaceChildren(); return; }
+    if (!calibrated.length || (versions.length < 2 && !adding)) { this.family.replaceChildren(); return; }
     const run = adding?.[1];
     this.family.replaceChildren(h("section", { class: "panel", id: "versions" },
       h("div", { class: "head" }, h("h2", {}, "Errors over the versions of the model"), h("span", { class: "grow" }),
@@ -164,9 +164,17 @@ export class Missing {
         " ", one.key === pane.key ? h("span", { class: "chip" }, "shown") : h("a", { href: pane.address("overview", one.key) }, "show beside"))))));
   }
 
+  get calibrated() {
+    return this.known.analyses.find((one) => one.verb === "calibrate")?.state === "done";
+  }
+
   empty() {
-    const { pane } = this, done = this.known.analyses.find((one) => one.verb === "calibrate")?.state === "done";
-    const knows = this.known.analyses.some((one) => one.verb === "explain");
+    const { pane } = this, done = this.calibrated;
+    const knows = this.known.analyses.some((one) => one.verb === "explain"), runs = this.pane.running?.verb === "explain";
+    if (runs) {
+      return h("section", { class: "panel empty" }, h("h2", {}, "It is being looked for"),
+        h("p", {}, "Every possible cause of the study's list is tested, local changes of every part, and errors of the measurement. The answer stands here as soon as it is known."));
+    }
     return h("section", { class: "panel empty" },
       h("h2", {}, knows ? "Nothing has been looked for yet" : "The study names no possible causes"),
       h("p", {}, knows ? "“Find what is missing” tests every possible cause of the study's list, local changes of every part, and errors of the measurement, and says which of them the data support, or that none can be named."

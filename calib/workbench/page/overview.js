@@ -21,7 +21,7 @@ export class Overview {
 
   draw(known) {
     const { pane } = this;
-    const now = JSON.stringify([known, pane.running?.verb, pane.failed?.pid, pane.failed?.state]);
+    const now = JSON.stringify([known, pane.running?.verb, pane.page.quick, pane.failed?.pid, pane.failed?.state]);
     if (now === this.seen) return;
     this.seen = now;
     this.place.replaceChildren(h("div", { class: "stack" },
@@ -33,6 +33,10 @@ export class Overview {
 
   answer(known) {
     const { pane } = this, { summary } = known, next = known.next.verb;
+    if (pane.running && known.analyses.every((one) => one.state !== "done")) {
+      return h("section", { class: "panel" }, h("div", { class: "answer" },
+        h("p", { class: "found" }, `calib ${pane.running.verb} runs.`), h("p", {}, "What it finds stands here as soon as it is done; above are its progress and a button that stops it.")));
+    }
     if (!summary) {
       return h("section", { class: "panel" }, h("div", { class: "answer" },
         h("p", { class: "found" }, "Nothing has been run yet."),
@@ -58,13 +62,13 @@ export class Overview {
   steps(known) {
     const { pane } = this, runs = pane.running?.verb;
     return panel("Analyses", known.analyses.map((one) => {
-      const [mark, kind, words] = STATES[runs === one.verb ? "running" : one.state];
+      const running = runs === one.verb, [mark, kind, words] = STATES[running ? "running" : one.state], found = (running ? "" : one.stale) || one.found || one.what;
       return h("div", { class: "step" },
         h("span", { class: `state ${kind}`, "aria-hidden": "true" }, mark),
         h("h3", {}, one.title, " ", h("span", { class: "soft small" }, `${words}${one.when ? `, ${when(one.when)}` : ""}${one.quick ? ", quick run" : ""}`)),
-        h("p", { class: "clip soft", title: one.stale || one.found || one.what }, one.stale || one.found || one.what),
+        h("p", { class: "clip soft", title: found }, found),
         h("div", { class: "act" }, pane.button(one.verb, one.state === "never" ? "Run" : "Again")));
-    }), h("div", { class: "act" }, pane.button("run", "Run everything"), pane.quickly(), h("code", { class: "soft small" }, `calib run ${known.path}`)));
+    }), h("div", { class: "act" }, pane.button("run", "Run everything"), pane.quickly(), h("code", { class: "soft small" }, `calib run ${known.path}${pane.page.quick ? " --quick" : ""}`)));
   }
 
   figures(known) {

@@ -129,7 +129,7 @@ export class Pane {
   }
 
   quickly() {
-    const box = h("input", { type: "checkbox", checked: this.page.quick, onchange: () => { this.page.quick = box.checked; } });
+    const box = h("input", { type: "checkbox", checked: this.page.quick, onchange: () => { this.page.quick = box.checked; this.page.refresh(); } });
     return h("label", { class: "small soft", title: "Small searches, to see whether a study works; their results stand apart" }, box, " quick run");
   }
 }

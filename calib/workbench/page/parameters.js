@@ -38,7 +38,7 @@ export class Parameters {
     this.rows = h("tbody", {}, found.rows.map((one) => h("tr", { class: "pick", tabIndex: 0, "data-name": one.name, "aria-selected": String(one.name === this.picked),
       onclick: () => this.choose(one.name), onkeydown: (event) => { if (event.key === "Enter" || event.key === " ") { event.preventDefault(); this.choose(one.name); } } },
     h("th", { scope: "row" }, one.name), h("td", { class: "scale" }, scale(one)), h("td", {}, one.nominal_words), h("td", {}, fitted ? one.value_words : one.prior_words), h("td", {}, mark(fitted ? one.identified : one.selected)))));
-    this.body.replaceChildren(h("div", { class: "grid search" },
+    this.body.replaceChildren(h("div", { class: "grid search rows" },
       h("div", { class: "stack" },
         panel(found.case ? `Parameters, fitted in case ${found.case}` : "Parameters",
           h("div", { class: "wide" }, h("table", { class: "parameters" }, h("thead", {}, h("tr", {}, head.map((words) => h("th", { scope: "col" }, words)))), this.rows)),
