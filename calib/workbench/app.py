@@ -28,7 +28,7 @@ from calib.workbench.edits import Edits
 from calib.workbench.evaluators import Evaluators
 from calib.workbench.live import Live
 from calib.workbench.measurement import measurement
-from calib.workbench.missing import missing, versions
+from calib.workbench.missing import missing, uncalibrated, versions
 from calib.workbench.overview import listed, overview
 from calib.workbench.parameters import parameters
 from calib.workbench.runs import KINDS, OPTIONS, Commands, adding, new_study
@@ -225,7 +225,8 @@ class Workbench:
             raise InputError("these are no effects of the explanation", place="add", remedy="explain the study first")
         whole = self.studies.results(study, "quick" if quick else "")
         calibrated = "calibrate" in whole.analyses and not whole.stale.get("calibrate")
-        commands = adding(study, list(map(str, names)), quick, calibrated)
+        written = uncalibrated(self.studies, study, list(map(str, names)), quick)
+        commands = adding(study, list(map(str, names)), quick, calibrated, written)
         self.commands.start_all(study, commands, {"effects": names, "quick": quick})
         return {"runs": self.commands.listing(study)}
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Any
 
 import pandas as pd
@@ -135,3 +136,13 @@ def _version(studies: Studies, study: KnownStudy, parent: str, part: str) -> dic
             for r in table.to_dict("records") if math.isfinite(r["rms"])
         ],
     }  # fmt: skip
+
+
+def uncalibrated(studies: Studies, study: KnownStudy, effects: Sequence[str], quick: bool) -> KnownStudy | None:
+    """The version of a study that has these effects too, but was not calibrated by such a run; None without one."""
+    family = {one["key"]: one for one in versions(studies, study, "quick" if quick else "")}
+    wanted = {*family[study.key]["effects"], *effects}
+    for key, one in family.items():
+        if one["parent"] == study.key and set(one["effects"]) == wanted and not one["errors"] and not one["fault"]:
+            return studies.one(key)
+    return None

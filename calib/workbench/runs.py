@@ -274,7 +274,7 @@ def _arguments(study: KnownStudy, verb: str, options: Mapping[str, Any]) -> tupl
 
 
 def adding(
-    study: KnownStudy, effects: Sequence[str], quick: bool, calibrated: bool
+    study: KnownStudy, effects: Sequence[str], quick: bool, calibrated: bool, written: KnownStudy | None = None
 ) -> list[tuple[str, tuple[str, ...]]]:
     """The commands that write a study with further effects among the results and calibrate it.
 
@@ -288,10 +288,14 @@ def adding(
         Whether to calibrate by a quick run.
     calibrated : bool
         Whether the study is.
+    written : KnownStudy, optional
+        The extended study, where it was written and its calibration stopped: that is resumed.
     """
-    new = free_place(study, effects)
     results = ("--results", str(study.root))
     before = [] if calibrated else [("calibrate", _arguments(study, "calibrate", {"quick": quick}))]
+    if written is not None:
+        return [*before, ("calibrate", _arguments(written, "calibrate", {"quick": quick}))]
+    new = free_place(study, effects)
     return [
         *before,
         ("extend", ("extend", str(study.file.parent), *effects, "--into", str(new), *results)),

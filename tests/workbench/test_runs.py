@@ -14,11 +14,15 @@ from calib.command import cli, example
 from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
 from calib.results.running import RunningNote
+from calib.study.loading import module_of
 from calib.workbench import runs
+from calib.workbench.missing import uncalibrated
 from calib.workbench.runs import KINDS, Commands, adding, new_study
 from calib.workbench.studies import Studies
 
 from .conftest import PORT, TOKEN
+
+MAST = module_of(Path(__file__).resolve().parents[1] / "template/mast_effects.py")
 
 WAITS = "import time; print('begun', flush=True); time.sleep(60)"
 REFUSES = "import sys; print('GB1'); print('Error: study.toml, line 3: no such key.', file=sys.stderr); sys.exit(2)"
@@ -163,6 +167,21 @@ def test_an_extended_study_has_a_place_of_its_own(study, here):
     assert second[-1] == "--quick" and Path(second[1]) == place.relative_to(here)
     place.mkdir()
     assert Path(adding(study, ["guy", "a b"], quick=True, calibrated=True)[1][1][1]).name == "mast_with_guy_a_b_2"
+
+
+@pytest.mark.medium
+def test_an_extended_study_whose_calibration_was_stopped_is_calibrated_on(tmp_path, monkeypatch, no_drawing):
+    MAST.write_study(tmp_path / "mast", {"guy": 12000.0})
+    monkeypatch.chdir(tmp_path)
+    studies = Studies(Path("mast"), Path("results"))
+    (study,) = studies.all().values()
+    assert uncalibrated(studies, study, ["guy"], quick=True) is None
+    with no_drawing():
+        assert cli.execute(["extend", "mast", "guy", "--into", "results/mast/mast_with_guy"]) == 0
+    written = uncalibrated(studies, study, ["guy"], quick=True)
+    assert written.name == "mast_with_guy" and uncalibrated(studies, study, ["ice"], quick=True) is None
+    (command,) = adding(study, ["guy"], True, True, written)
+    assert command == ("calibrate", ("calibrate", "results/mast/mast_with_guy", "--results", "results", "--quick"))
 
 
 def test_before_an_effect_is_added_the_study_is_calibrated_once(page, key, monkeypatch):
