@@ -209,12 +209,13 @@ export function bar(done, total) {
 export function afterFailure(pane) {
   const run = pane.failed;
   if (!run) return null;
+  const added = run.options?.effects, again = run.again ? () => pane.give(run.verb, run.again) : added ? () => pane.add(added) : null;
   const stopped = run.state === "stopped", at = run.words ? `, at: ${run.words}` : "";
   return h("div", { class: stopped ? "note" : "note bad", id: "after" },
     h("p", {}, h("strong", {}, `calib ${run.verb} ${stopped ? "was stopped" : "failed"}${at}. `), run.sentence || (stopped ? "Nothing is lost: the same command goes on where it stood." : "")),
     run.tail && !run.sentence ? h("pre", {}, run.tail.split("\n").slice(-12).join("\n")) : null,
-    run.again === null ? null : h("div", { class: "act" },
-      h("button", { type: "button", class: "main", disabled: Boolean(pane.running), onclick: () => pane.give(run.verb, run.again) }, stopped ? "Resume" : "Again"),
+    again === null ? null : h("div", { class: "act" },
+      h("button", { type: "button", class: "main", disabled: Boolean(pane.running), onclick: again }, stopped ? "Resume" : "Again"),
       h("span", { class: "soft small" }, `started ${lasting(Date.now() / 1000 - run.began)} ago`)));
 }
 
