@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
+import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import NullLocator
 from PIL import Image
@@ -27,10 +28,8 @@ from calib.results.answer import in_prose
 from calib.study.loading import module_of
 
 HERE = Path(__file__).resolve().parent
-COLOURS = (160, 96, 64)
-"""Of a PNG: the first that keeps it below `LARGEST`; enough for every figure, and a third of its size."""
-LARGEST = 150_000
-"""Of a PNG, bytes."""
+APART, SAME = 64, 1e-4
+"""Steps of 255 by which a colour has changed, and the share of such pixels up to which two pictures show the same."""
 TICKS = [m * 10**k for k in range(-3, 3) for m in (1, 2, 3, 5)]
 """Of a logarithmic axis that spans little more than a decade."""
 
@@ -50,6 +49,8 @@ FIGURES = {
     "bogie_comparison": Shown("bogie", "comparison"),
     "bogie_mode_shapes": Shown("bogie", "mode_shapes_after"),
     "bogie_parameters": Shown("bogie", "parameters"),
+    "bogie_pareto": Shown("bogie", "pareto"),
+    "bogie_search_errors": Shown("bogie", "search_errors"),
     "hidden_bogie": Shown("hidden_bogie", "answer"),
     "hidden_bushing": Shown("hidden_bushing", "answer"),
     "hidden_misfit": Shown("hidden_bogie", "sensor_misfit"),
@@ -99,6 +100,7 @@ def main() -> None:
     arguments.add_argument("--results", type=Path, default=Path("results"), help="where the studies' results are")
     arguments.add_argument("--into", type=Path, default=HERE / "figures", help="where the figures go")
     arguments.add_argument("--only", metavar="NAME", help="one figure, which must be drawn")
+    arguments.add_argument("--check", action="store_true", help="draw none; fail where the present code draws another")
     given = arguments.parse_args()
     given.into.mkdir(parents=True, exist_ok=True)
     both = [given.results / name for name in ("hidden_bogie", "hidden_bogie_extended")]
@@ -106,16 +108,21 @@ def main() -> None:
     drawn |= {name: partial(of_folder, given.results / shown.folder, shown.name) for name, shown in FIGURES.items()}
     if given.only is not None and given.only not in drawn:
         arguments.error(f"there is no figure {given.only!r}")
+    stale = []
     for name, draw in drawn.items():
         if given.only not in (None, name):
             continue
-        figure = draw()
-        if figure is not None:
-            write(figure, given.into / f"{name}.png")
+        figure, path = draw(), given.into / f"{name}.png"
+        if figure is not None and given.check:
+            stale += [name] if not shows(path, figure) else []
+        elif figure is not None:
+            write(figure, path)
         elif given.only is None:
             print(f"{name}: kept, its results are not in {given.results}")
         else:
             raise SystemExit(f"{name}: its results are not in {given.results}")
+    if stale:
+        raise SystemExit(f"the present code draws other figures: {', '.join(stale)}; make docs-figures draws them anew")
 
 
 def of_folder(folder: Path, name: str) -> Figure | None:
@@ -161,17 +168,27 @@ def _record(folder: Path) -> dict:
     return json.loads((folder / "record.json").read_text("utf-8"))
 
 
-def write(figure: Figure, path: Path) -> None:
-    """Save as PNG with few colours; an interruption leaves the old file."""
+def picture(figure: Figure) -> Image.Image:
+    """The figure as it is saved."""
     take_dollars_literally(figure)
     drawn = io.BytesIO()
     with style():
         figure.savefig(drawn, format="png", dpi=DPI)
+    return Image.open(drawn).convert("RGB")
+
+
+def shows(path: Path, figure: Figure) -> bool:
+    """Whether a file shows a figure."""
+    if not path.is_file():
+        return False
+    here, there = (np.asarray(one, dtype=int) for one in (Image.open(path).convert("RGB"), picture(figure)))
+    return here.shape == there.shape and float(np.mean(np.abs(here - there).max(axis=2) > APART)) <= SAME
+
+
+def write(figure: Figure, path: Path) -> None:
+    """Save as PNG, with every colour; an interruption leaves the old file."""
     draft = path.with_suffix(".draft")
-    for colours in COLOURS:
-        Image.open(drawn).convert("RGB").quantize(colours, dither=Image.Dither.NONE).save(draft, "png", optimize=True)
-        if draft.stat().st_size <= LARGEST:
-            break
+    picture(figure).save(draft, "png", optimize=True)
     os.replace(draft, path)
     print(path)
 

@@ -136,6 +136,20 @@ def test_lines_are_the_tables(drawn_tables):
     np.testing.assert_allclose(lines(lower)["experiment"], table[["freq", "experiment"]])
 
 
+@pytest.mark.medium
+def test_the_committed_figure_is_that_of_the_present_code(example, tmp_path):
+    """Of one figure, whose table takes no time; ``figures.py --check`` asks this of all whose results are at hand."""
+    script = runpy.run_path(str(ROOT / "docs/figures.py"))
+    table = article.reduction(example)
+    (tmp_path / f"{figures.SET.last}.csv").write_text("", "utf-8")
+    table.to_csv(tmp_path / "reduction.csv", index=False)
+    committed = ROOT / "docs/figures/solar_panel_reduction.png"
+    assert script["shows"](committed, figures.SET.drawn(tmp_path, "reduction"))
+    table[table["level"] < 4].to_csv(tmp_path / "reduction.csv", index=False)
+    assert not script["shows"](committed, figures.SET.drawn(tmp_path, "reduction"))
+    assert not script["shows"](tmp_path / "none.png", figures.SET.drawn(tmp_path, "reduction"))
+
+
 @pytest.mark.slow
 def test_dots_are_the_factors_of_the_seeds(drawn_tables):
     runs = drawn_tables["runs"]
