@@ -64,6 +64,7 @@ NONE = ALONE | {"group": "nothing", "verdict": "nothing_detectable", "fault": ""
         (ALONE | {"faults_told": [], "verdict": "none_explains"}, False, True, False),
         (ALONE | {"faults_told": [], "verdict": "partial", "measurement_too": True}, False, False, False),
         (ALONE | {"fault_right": "exchange of sensors 1x and 2x"}, False, False, False),
+        (ALONE | {"verdict": "effect", "credible": ["brace"], "outcome": "wrong"}, False, True, True),
         (NONE, True, False, False),
         (NONE | {"verdict": "none_explains"}, False, True, False),
         (NONE | {"verdict": "effect", "credible": ["brace"], "outcome": "wrong"}, False, True, True),

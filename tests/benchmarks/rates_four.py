@@ -233,9 +233,9 @@ def is_hedged(row: Mapping[str, Any]) -> bool:
 
 
 def is_alarm(row: Mapping[str, Any]) -> bool:
-    """Whether "something is missing" is said of a complete model, and no measurement error beside it."""
+    """Whether "something is missing" is said of a complete model, and no measurement error in its place."""
     quiet = row["verdict"] in ("nothing_detectable", "measurement", "noise_underestimated")
-    return not row["hidden"] and not quiet and not row["faults_told"] and not row["measurement_too"]
+    return not row["hidden"] and not quiet and not row["measurement_too"]
 
 
 def is_wrong(row: Mapping[str, Any]) -> bool:
