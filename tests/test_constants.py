@@ -98,6 +98,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
 EFFORT = {  # of iterations and searches that end by themselves, and of quick runs, which say that they are quick
     "structure/effects/compositions.py": "MODES RIGID _DIGITS",
     "structure/effects/rigid_joints.py": "_HELD _SYMMETRIC _ANGLE _TRIED _MOST",
+    "structure/effects/terms.py": "_BENDING",
     "hypotheses/linear_start.py": "EQUATION_ERROR LEVEL ROUNDS",
     "hypotheses/modal_start.py": "ENOUGH EQUATION_ERROR EXPLAINED ROUNDS SENSORS",
     "hypotheses/design/imagined.py": "_TRIES",
@@ -110,7 +111,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "inference/between.py": "LEAST_TESTS _GRID _LEAST _SETTLED _TURNS",
     "inference/cases.py": "FAILED",
     "inference/even_weights.py": "LIMIT MANY",
-    "inference/gauss_newton.py": "_SAME",
+    "inference/gauss_newton.py": "_POOR _SAME",
     "inference/integers.py": "_ROUNDS",
     "measurement/frf_repeats.py": "_RANGE _NAMED",
     "measurement/partners.py": "_NEIGHBOURS",

@@ -78,6 +78,11 @@ class EvenWeights:
         usual = float(np.median(np.abs(others)))
         return replace(self, most=LIMIT * max(usual, 1.0))
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether derivatives of the problem cost evaluations; see `calib.inference.gauss_newton.fit`."""
+        return bool(getattr(self.problem, "by_differences", False))
+
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Weighted residual at named values, (n_rows,); EvaluationError where the evaluation fails."""
         rows = self.problem.residual(values)

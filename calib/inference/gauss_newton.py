@@ -64,6 +64,8 @@ class FitSettings:
 
 
 DEFAULT = FitSettings()
+_POOR = 0.25
+"""Actual over predicted decrease below which derivatives that were updated are evaluated again."""
 _SAME = 0.1
 """Part of a step that failed by which another must differ to be worth an evaluation."""
 
@@ -153,6 +155,9 @@ def fit(
 
     Priors other than normal ones add the square of their pull. Levenberg-Marquardt in the position of each parameter
     between its limits, along its scale; the damping follows the ratio of actual to predicted decrease (Nielsen 1999).
+    Where a problem says that derivatives are differences (``by_differences``), each of which costs evaluations, the
+    Jacobian is updated after every step by what the residual there says (Broyden 1965). It is evaluated at the start,
+    where a step fails or gains much less than predicted, and at the end.
     Every step is the exact minimum of the damped quadratic model within all limits and
     constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
     Integer parameters stay at their start.
@@ -209,20 +214,27 @@ def fit_steps(
     if here is None:
         raise raised_anew(search.fault, f"the fit cannot start: {search.fault}")
     mu, growth = 0.0, 2.0
+    costly = bool(getattr(problem, "by_differences", False))
     rows: list[tuple[float, ...]] = []
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
-    iteration, rejected, reason, converged = 0, 0, "", False
+    iteration, rejected, reason, converged, poor = 0, 0, "", False, False
     first = math.nan
     yield here.values, region.names
-    slope = search.slope(here)
+    slope, updated = search.slope(here), False
     while True:
         matrix, right = search.system(here, slope)
         free_step = region.step(matrix, right, 0.0, here.x)
         promised = _promise(matrix, right, free_step)
-        if promised <= max(settings.gain, settings.relative * here.misfit):
+        enough = promised <= max(settings.gain, settings.relative * here.misfit)
+        last = iteration >= settings.iterations or search.evaluations >= settings.evaluations
+        if updated and (enough or last or poor):  # an end rests on derivatives, and so does a step that must be better
+            yield here.values, region.names
+            slope, updated = search.slope(here), False
+            continue
+        if enough:
             reason, converged = "no step promises to lower the misfit", True
             break
-        if iteration >= settings.iterations or search.evaluations >= settings.evaluations:
+        if last:
             reason = f"stopped after {iteration} iterations, before it converged"
             break
         first = promised if math.isnan(first) else max(first, promised)
@@ -231,6 +243,7 @@ def fit_steps(
         there = None
         move = region.step(matrix, right, mu, here.x)
         noisy, failed = promised <= settings.noise * here.misfit, 0
+        poor = False
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
             if noisy and failed == settings.noisy_rejections:
                 break
@@ -240,7 +253,10 @@ def fit_steps(
             if trial is not None and trial.misfit < here.misfit:
                 ratio = (here.misfit - trial.misfit) / max(_promise(matrix, right, move), 1e-300)
                 mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
-                there, rejected = trial, 0
+                there, rejected, poor = trial, 0, ratio < _POOR
+            elif updated:
+                poor = True
+                break
             else:
                 tried, failed = move, failed + 1
                 other = False
@@ -248,6 +264,8 @@ def fit_steps(
                     mu, growth, rejected = mu * growth, 2 * growth, rejected + 1
                     move = region.step(matrix, right, mu, here.x)
                     other = bool(np.linalg.norm(move - tried) > _SAME * np.linalg.norm(tried))
+        if there is None and poor:
+            continue
         if there is None:
             converged = noisy
             reason = f"no step lowers the misfit further (one promised {promised:.2g} of {here.misfit:.4g})"
@@ -255,6 +273,9 @@ def fit_steps(
         iteration += 1
         size = float(np.max(np.abs(there.x - here.x)))
         rows.append((iteration, there.misfit, there.data, there.prior, size, mu))
+        if costly:
+            here, slope, updated = there, search.updated(slope, here, there), True
+            continue
         yield there.values, region.names
         here, slope = there, search.slope(there)
     limits, constraints = region.active(here.x)
@@ -326,6 +347,14 @@ class _Search:
     def slope(self, point: _Point) -> np.ndarray:
         self.jacobians += 1
         return np.asarray(self.problem.jacobian(point.values, self.region.names), dtype=float)
+
+    def updated(self, slope: np.ndarray, before: _Point, point: _Point) -> np.ndarray:
+        """Jacobian at a point from that at an earlier one: the least change that explains the residual there."""
+        step = point.x - before.x
+        here, there = self.region.span_at(before.x), self.region.span_at(point.x)
+        scaled = slope * here
+        left = point.residual - before.residual - scaled @ step
+        return np.asarray((scaled + np.outer(left, step) / float(step @ step)) / there)
 
     def system(self, point: _Point, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Matrix and right-hand side of the linearised problem over scaled parameters, prior included, in few rows."""

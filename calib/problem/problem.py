@@ -228,6 +228,11 @@ class PairProblem(Generic[P]):
         """Degrees of freedom behind the standard deviations of each kind of row; infinite where they are known."""
         return self.pair.std_dof
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether derivatives cost further evaluations of the model."""
+        return bool(getattr(getattr(self.pair.problem, "model", None), "by_differences", False))
+
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses; EvaluationError where the model cannot be solved."""
         return self.pair.responses(self.at(values))

@@ -149,6 +149,38 @@ def test_a_curved_valley():
     assert away.values["p1"] == pytest.approx(0.25, abs=1e-3)
 
 
+@dataclass
+class Bent:
+    """Sums of exponentials whose derivatives are differences, counting the runs that these take."""
+
+    by_differences: bool
+    runs: int = 0
+    place: np.ndarray = field(default_factory=lambda: np.linspace(0.0, 1.0, 9))
+
+    def curve(self, values):
+        return values["p0"] * np.exp(-values["p1"] * self.place) + values["p2"] * self.place**2
+
+    def residual(self, values):
+        self.runs += 1
+        return 50.0 * (self.curve(values) - self.curve({"p0": 2.7, "p1": 1.9, "p2": 0.4}))
+
+    def jacobian(self, values, names):
+        self.runs += 2 * len(names)
+        ends = [[self.curve({**values, n: values[n] + d}) for d in (1e-6, -1e-6)] for n in names]
+        return np.column_stack([50.0 * (a - b) / 2e-6 for a, b in ends])
+
+
+def test_derivatives_that_cost_runs_are_updated_and_the_end_is_the_same():
+    """The Jacobian of the result is evaluated at the end all the same: standard deviations rest on it."""
+    space, (exact, updated) = box(3, value=1.0), (Bent(False), Bent(True))
+    one, other = (fit(problem, space, {"p0": 3.8, "p1": 0.2, "p2": 3.0}) for problem in (exact, updated))
+    assert one.converged and other.converged
+    for name, value in one.values.items():
+        assert other.values[name] == pytest.approx(value, abs=2e-3)
+    np.testing.assert_allclose(other.jacobian, exact.jacobian(other.values, other.names), rtol=1e-6)
+    assert other.jacobians < one.jacobians and updated.runs < 0.8 * exact.runs
+
+
 def test_points_that_cannot_be_evaluated_are_stepped_back_from():
     class Hole(Valley):
         def residual(self, values):
