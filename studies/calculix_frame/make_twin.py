@@ -35,15 +35,24 @@ def places() -> list[tuple[float, float, float]]:
     return [(x / 1e3, y / 1e3, (0.0 if plate == "base" else HEIGHT) / 1e3) for plate, x, y in SENSORS]
 
 
-def true_modes(truth: dict[str, Any], sensors: list[calib.Sensor]) -> Any:
+def sensors() -> list[calib.Sensor]:
+    """Measured places in all three directions."""
+    return [calib.Sensor(k, d, point) for k, point in enumerate(places(), start=1) for d in "xyz"]
+
+
+def true_modes(truth: dict[str, Any]) -> Any:
     """Modes of the twin without noise."""
     x, y, z = truth["motor"]["at"]
     motor = f"*ELEMENT, TYPE=MASS, ELSET=MOTOR\n900001,NODE {x} {y} {z}\n*MASS, ELSET=MOTOR\n{truth['motor']['mass']}"
+    return solved(frame(truth["parameters"], columns=24, rows=16, segments=6, more=motor, step=STEP))
+
+
+def solved(deck: str) -> Any:
+    """Modes of a deck with numbers alone, from CalculiX, at the `sensors`."""
     with tempfile.TemporaryDirectory() as folder:
-        deck = frame(truth["parameters"], columns=24, rows=16, segments=6, more=motor, step=STEP)
         Path(folder, "frame.inp").write_text(deck, encoding="utf-8")
         model = solver_model(
-            "ccx -i frame", template="frame.inp", modes="frame.dat", sensors=sensors, n_modes=COUNT, units="mm-t-N",
+            "ccx -i frame", template="frame.inp", modes="frame.dat", sensors=sensors(), n_modes=COUNT, units="mm-t-N",
             parameters=[calib.Parameter("nothing", 0.0, -1.0, 1.0)], folder=folder,
         )  # fmt: skip
         return model.modes({}, COUNT)
@@ -51,8 +60,7 @@ def true_modes(truth: dict[str, Any], sensors: list[calib.Sensor]) -> Any:
 
 def measurement(truth: dict[str, Any]) -> dict[str, pd.DataFrame]:
     """Tables ``modes, shapes, sensors``."""
-    sensors = [calib.Sensor(k, d, point) for k, point in enumerate(places(), start=1) for d in "xyz"]
-    found, rng = true_modes(truth, sensors), np.random.default_rng(SEED)
+    found, rng = true_modes(truth), np.random.default_rng(SEED)
     modes, shapes = [], []
     for repeat in range(1, REPEATS + 1):
         for j in range(COUNT):
@@ -60,7 +68,7 @@ def measurement(truth: dict[str, Any]) -> dict[str, pd.DataFrame]:
             freq = found.natural_freq[j] * (1 + FREQ_NOISE * rng.standard_normal())
             modes.append((repeat, label, round(freq, 4), "natural"))
             noisy = shape + SHAPE_NOISE * rng.standard_normal(len(shape))
-            shapes += [(repeat, label, s.node, s.direction, round(e, 4)) for s, e in zip(sensors, noisy, strict=True)]
+            shapes += [(repeat, label, s.node, s.direction, round(e, 4)) for s, e in zip(sensors(), noisy, strict=True)]
     return {
         "modes": pd.DataFrame(modes, columns=["repeat", "mode", "freq", "freq_kind"]),
         "shapes": pd.DataFrame(shapes, columns=["repeat", "mode", "node", "direction", "re"]),
