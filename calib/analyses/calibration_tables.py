@@ -107,7 +107,7 @@ def write_calibration(study: LoadedStudy, results: Results, answer: Calibration,
     if answer.modes is not None:
         results.write_table("modes", answer.modes)
         for stage, comparison in answer.stages.items():
-            write_model_modes(results, comparison, stage)
+            write_model_modes(results, comparison, stage, answer.best.answer.comparison)
     if answer.errors is not None:
         results.write_table("data_errors", answer.errors.assign(std_from=answer.best.statistics.rests_on))
     if answer.responses is not None:

@@ -20,7 +20,7 @@ from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
 from calib.correlation.mesh_error import write_geometry
 from calib.correlation.modal.comparison import Comparison
-from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, expanded_shapes, orthogonality
+from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, deflections, expanded_shapes, orthogonality
 from calib.correlation.modal.found_twice import FoundTwice, found_twice
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
@@ -379,13 +379,16 @@ def _write_orthogonality(results: Results, answer: ComparisonResult, stage: str)
         results.write_table(f"{name}_{stage}", table)
 
 
-def write_model_modes(results: Results, comparison: Comparison, stage: str) -> None:
-    """Write the mesh, and frequencies, damping and deflections of the paired model modes, from which they are drawn."""
+def write_model_modes(results: Results, comparison: Comparison, stage: str, like: Comparison | None = None) -> None:
+    """Write the mesh, and frequencies, damping and deflections of the paired model modes, from which they are drawn.
+
+    They face as the shapes of ``like`` do, a comparison with other sensors whose shapes are drawn beside them.
+    """
     write_geometry(results, comparison.model)
     names = {f"{name}_model": name for name in ("natural_freq", "damped_freq", "damping_ratio")}
     modes = comparison.comparison_table().iloc[comparison.pairing.paired][["mode", *names]]
     results.write_table(f"model_modes_{stage}", modes.rename(columns=names))
-    results.write_table(f"deflection_{stage}", comparison.deflection_table())
+    results.write_table(f"deflection_{stage}", deflections(comparison, like or comparison))
 
 
 def _percent(fraction: float) -> str:

@@ -75,6 +75,25 @@ class ExpandedShapes:
         return pd.concat(parts[1:] or parts, ignore_index=True)
 
 
+def deflections(found: Comparison, like: Comparison) -> pd.DataFrame:
+    """`Comparison.deflection_table`, each mode with the sign that its shape has in a comparison with other sensors.
+
+    The largest entry of a measured shape decides its sign, and may be at a sensor that one of the two lacks.
+    """
+    theirs = {sensor.name: k for k, sensor in enumerate(like.measured.sensors)}
+    rows = [k for k, sensor in enumerate(found.measured.sensors) if sensor.name in theirs]
+    same, signs = [theirs[found.measured.sensors[k].name] for k in rows], dict[str, float]()
+    for i, name in enumerate(found.measured.names):
+        if name in like.measured.names and rows:
+            j = like.measured.names.index(name)
+            own = found.measured.shapes[rows, i] * found.turns[i]
+            there = like.measured.shapes[same, j] * like.turns[j]
+            signs[name] = -1.0 if np.nansum(np.real(own * np.conj(there))) < 0 else 1.0
+    table, motion = found.deflection_table(), ["u", "v", "w"]
+    table[motion] = table[motion].mul(table["mode"].map(signs).astype(float).fillna(1.0), axis=0)
+    return table
+
+
 @dataclass(frozen=True, eq=False)
 class Orthogonality:
     """Mass-orthogonality of measured shapes with the test-analysis mass matrix of a model.
