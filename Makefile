@@ -58,7 +58,7 @@ test: $(VENV)/.installed-dev
 	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest $(TOGETHER) $(PYTEST_ARGS)
 
 test-slow: $(VENV)/.installed-dev
-	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest -m 'slow and not whole' $(TOGETHER) $(PYTEST_ARGS)
+	$(ONE_BLAS_THREAD) $(KEPT_BYTECODE) $(BIN)/python -m pytest -rs -m 'slow and not whole' $(TOGETHER) $(PYTEST_ARGS)
 
 # Each in an environment of its own, .venv-3.12 and so on.
 test-pythons:
