@@ -12,7 +12,9 @@ import pandas as pd
 from calib.analyses.calibration_tables import RUNS
 from calib.analyses.case import objective_of
 from calib.analyses.joint_responses import Responses
+from calib.analyses.sensitivity import runs_of
 from calib.errors.errors import InputError
+from calib.execution.outcome import point_key
 from calib.inference.objective import Objective
 from calib.problem.space import ParameterSpace
 from calib.results.answer import Answer
@@ -23,6 +25,8 @@ from calib.results.results import Results
 from calib.results.written import whole
 from calib.study.several import AnyStudy
 
+IMPORTED = "runs"
+"""Case of a design that is a run of the table that is the model; its responses are those of the table."""
 OTHER = "other"
 """Case of a design that no search requested: of a sample, or a point that another analysis asked for."""
 HEAD = ("rank", "design", "case", "generation", "status", "objective", "mean_error", "mean_mac")
@@ -96,7 +100,8 @@ class Designs:
         best = self.table.iloc[0]
         if best["status"] != "ok":
             return Answer("Every design failed.", self.sentences[0], "Try again: calib again STUDY.")
-        of = best["case"] if best["case"] == OTHER else f"generation {best['generation']:.0f} of {best['case']}"
+        known = best["case"] in (OTHER, IMPORTED)
+        of = best["case"] if known else f"generation {best['generation']:.0f} of {best['case']}"
         mac = "" if pd.isna(best["mean_mac"]) else f", mean MAC {best['mean_mac']:.3f}"
         found = f"The best design is number {best['design']} ({of}): objective {best['objective']:.4g}"
         found += f", mean error {100 * best['mean_error']:.2f} %{mac}."
@@ -107,7 +112,8 @@ class Designs:
     def sentences(self) -> tuple[str, ...]:
         """How many there are."""
         number = Counter(self.table["case"].astype(str))
-        own = [f"{number[case]} of {case}" for case in sorted(number) if case != OTHER]
+        own = [f"{number[case]} of {case}" for case in sorted(number) if case not in (OTHER, IMPORTED)]
+        own += [f"{number[IMPORTED]} of the table of runs"] if IMPORTED in number else []
         own += [f"{number[OTHER]} of samples and other analyses"] if OTHER in number else []
         failed = int((self.table["status"] == "failed").sum())
         words = f"{len(self.table)} evaluated designs: {', '.join(own)}"
@@ -144,7 +150,9 @@ def designs(study: AnyStudy, ledger: Ledger, results: Results) -> Designs:
         parts.append(found.join(own[["generation", "misfit"]]).assign(case=case))
         searched.update(own.index)
     others = [key for key in ledger.keys(fingerprint) if key not in searched]
-    found = _evaluated(ledger, fingerprint, others).assign(case=OTHER, generation=np.nan)
+    found = _as_imported(
+        _evaluated(ledger, fingerprint, others).assign(case=OTHER, generation=np.nan), study, objective
+    )
     found["misfit"] = [objective(one) if one else np.nan for one in found["responses"]]
     parts.append(found)
     table = pd.concat([part for part in parts if len(part)] or parts[-1:], ignore_index=True)
@@ -152,6 +160,22 @@ def designs(study: AnyStudy, ledger: Ledger, results: Results) -> Designs:
         words = "no design of the study as it is has been evaluated"
         raise InputError(words, place=results.path, remedy="run 'calib sensitivity' or 'calib calibrate' first")
     return Designs(_ranked(table, objective, study.search_space), study.search_space, infeasible)
+
+
+def _as_imported(points: pd.DataFrame, study: AnyStudy, objective: Objective) -> pd.DataFrame:
+    """The points, those that are runs of the study's table with its outputs instead of predicted ones."""
+    runs = runs_of(study)
+    if runs is None or set(study.search_space.free_names) != set(runs.points):
+        return points
+    inputs = runs.points[list(study.search_space.free_names)].to_numpy(dtype=float)
+    number = {point_key(study.search_space.complete(x)): k for k, x in enumerate(inputs)}
+    table = points.reset_index().to_dict("records")
+    for row in table:
+        if (k := number.get(str(row["key"]))) is not None:
+            own = {str(name): float(value) for name, value in runs.values.iloc[k].items() if np.isfinite(value)}
+            good = set(objective.targets) <= set(own)
+            row |= {"case": IMPORTED, "status": "ok" if good else "failed", "responses": own if good else {}}
+    return pd.DataFrame(table, columns=["key", *points]).set_index("key")
 
 
 def _evaluated(ledger: Ledger, fingerprint: str, keys: list[str]) -> pd.DataFrame:

@@ -143,6 +143,8 @@ def sampled(
     count = min(settings.samples, QUICK_SAMPLES) if quick else settings.samples
     points = sample(space, count, settings.seed)
     outcomes = evaluated(study, ledger, [space.complete(x) for x in points.points], workers, progress)
+    if imported := points_of_runs(study):  # for the list of designs
+        evaluated(study, ledger, imported, workers, silent)
     return measured(
         space, points, outcomes, names, study.settings.listed, _of_runs(study, names), wide_sentence_of(study, space)
     )
@@ -153,6 +155,15 @@ def runs_of(study: AnyStudy) -> Runs | None:
     models = [one.model for one in study.studies]
     runs = models[0].metamodels if len(models) == 1 and isinstance(models[0], FunctionModel) else None
     return runs if isinstance(runs, Runs) else None
+
+
+def points_of_runs(study: AnyStudy) -> list[dict[str, float]]:
+    """The runs of a table within the limits of the searches, as designs; none where not all inputs vary."""
+    runs, space = runs_of(study), study.search_space
+    if runs is None or set(space.free_names) != set(runs.points):
+        return []
+    x = runs.points[list(space.free_names)].to_numpy(dtype=float)
+    return [space.complete(one) for one in x[space.feasible(x)]]
 
 
 def wide_sentence_of(study: AnyStudy, space: ParameterSpace) -> str:

@@ -118,6 +118,9 @@ class Listener:
     def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None) -> None:
         """Figures, and the report where there is one, were made."""
 
+    def requested(self, figures: Sequence[Path]) -> None:
+        """Figures that the user named were drawn."""
+
 
 class Showing(Listener):
     """Shows how far an analysis is, on a terminal or below a notebook's cell; nothing else."""

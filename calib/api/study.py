@@ -202,7 +202,7 @@ class Study:
                 answers[study.one.test], entries[study.one.test] = found, sensitivity_entries(study.one, found)
                 if residuals or surfaces:
                     drawn = draw_metamodels(found, study.one, study.folder.path, residuals, surfaces)
-                    self.listener.drawn(study.one, drawn, None)
+                    self.listener.requested(drawn)
         self.draw()
         printed = entries_by_test(entries)
         if len(answers) == 1:

@@ -206,6 +206,9 @@ class _Printing(Listener):
             title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
             self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
 
+    def requested(self, figures: Sequence[Path]) -> None:
+        self._add(*(Words(f"Drawn: {path}", "always") for path in figures))
+
     # -- the end -------------------------------------------------------------------------------------------------------
 
     def print_collected(self) -> None:

@@ -37,11 +37,14 @@ class Runs:
     prognosis : Prognosis
     points : DataFrame (n_runs, n_inputs)
         The inputs of the runs.
+    values : DataFrame (n_runs, n_outputs)
+        Their outputs; NaN where a run failed.
     """
 
     space: ParameterSpace
     prognosis: Prognosis
     points: pd.DataFrame
+    values: pd.DataFrame
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
         """Predicted responses; EvaluationError outside the runs, where metamodels do not hold."""
@@ -144,7 +147,7 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         words = f"{known} runs that did not fail are too few for {len(named)} inputs"
         raise InputError(words, place=path, remedy=f"add runs, {least} at least, or name fewer inputs")
     space = ParameterSpace(tuple(_parameter(path, name, points[name], (units or {}).get(name, "")) for name in named))
-    runs = Runs(space, prognosis(space, points, values), points)
+    runs = Runs(space, prognosis(space, points, values), points, values)
     # Which metamodels these are depends on what is installed: points that others predicted are not theirs.
     chosen = [(one.kind, one.inputs) for one in runs.prognosis.models]
     identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS, chosen)[:16]

@@ -108,6 +108,12 @@ def test_a_study_of_a_table_tells_the_prognosis_of_its_runs_and_fits(tmp_path):
     pd.testing.assert_frame_equal(stored, told.prognosis.table, rtol=1e-6)
     assert len(pd.read_csv(loaded.folder.path / "prognosis_inputs.csv")) == 3 * 2
     assert (told.prognosis.table["designs"] == 58).all() and told.prognosis.table["cop"].min() > 0.99
+    listed = loaded.designs().table
+    own = listed[listed["case"] == "runs"].set_index(["k", "m"])
+    assert len(own) == len(found) and (own["status"] == "failed").sum() == 2 and listed["rank"].is_monotonic_increasing
+    for row in found.dropna().to_dict("records"):  # what was computed, not what a metamodel makes of it
+        assert own.loc[(row["k"], row["m"]), "f1"] == pytest.approx(row["f1"], rel=1e-12)
+    assert own["objective"].min() == own["objective"].iloc[0]
     fit = loaded.calibrate()
     values = pd.read_csv(loaded.folder.path / "verdicts.csv").set_index("parameter")["value"]
     assert values["k"] == pytest.approx(TRUE["k"], rel=0.01) and len(fit.table) == 2
