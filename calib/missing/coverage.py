@@ -33,7 +33,9 @@ class Coverage:
     @property
     def sentence(self) -> str:
         """How a stated interval is to be read."""
-        return f"Read 95 % as {self.percent} %: {self.held} of {self.of} such intervals held the truth in {self.tests}."
+        return (
+            f"95 % intervals of magnitudes held the truth in {self.held} of {self.of} {self.tests} ({self.percent} %)."
+        )
 
 
 MODES = Coverage(81, 95, "computed tests of bogies")

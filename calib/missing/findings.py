@@ -33,6 +33,7 @@ from calib.missing.effect_facts import (
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import misfit_at, overall_p
 from calib.missing.hypotheses import Hypotheses
+from calib.missing.local import range_words
 from calib.missing.partial import remainder_of
 from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place_table, reduction_table
 from calib.missing.profile import profile_interval
@@ -335,5 +336,6 @@ def _next(
         return tables, advised
     purpose = "To tell them apart" if pair is not None else "To see further effects"
     if pair is None and named:
-        purpose = "To narrow that magnitude" if len(named) == 1 else "To narrow these magnitudes"
+        ends = [range_words(one.low, one.high, one.unit) for one in intervals.values()]
+        purpose = f"To narrow {' and '.join(ends) if len(ends) == len(named) else 'what is named'}"
     return tables, replace(advised, short=first_steps(order, purpose))

@@ -11,7 +11,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.local import range_words
 from calib.missing.rules import RULES
 from calib.missing.suspect import suspect_sentence
-from calib.missing.verdict_words import limits_sentence
+from calib.missing.verdict_words import limits_sentence, lowered
 
 _LISTED = 6
 """Largest number of effects that a doubt lists."""
@@ -90,7 +90,7 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
     if unseen:
         more = [] if len(unseen) <= _LISTED else [f"{len(unseen) - _LISTED} more"]
         yield Reservation(
-            f"Not visible in these data, whether there or not: {'; '.join([*unseen[:_LISTED], *more])}.",
+            f"These data cannot show whether there is: {'; '.join([*map(lowered, unseen[:_LISTED]), *more])}.",
             "The recommended measurements tell what would show each.",
         )
 

@@ -178,7 +178,8 @@ def suspect_in_short(table: pd.DataFrame, ln_odds: float = math.nan) -> str:
 
 def _beside(what: str, ln_odds: float, p: str = "") -> str:
     odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
-    return f"A wrong measurement of {_the(what)} would explain the misfit too{p}, but the odds are {odds} against that."
+    fits = f"Without {_the(what)} the model fits as it is{p}"
+    return f"{fits}, but the odds are {odds} against that measurement being wrong."
 
 
 def _the(what: str) -> str:
@@ -203,7 +204,7 @@ def suspect_sentence(table: pd.DataFrame, named: str = "", ln_odds: float = math
     first, more = explaining.iloc[0], explaining["what"].tolist()[1:4]
     others = f"; so it does without {' or without '.join(more)}" if more else ""
     if named:
-        p = f" (without it p = {first['p_fit_without']:.2g}, {ESTIMATED})"
+        p = f" (p = {first['p_fit_without']:.2g}, {ESTIMATED})"
         return _beside(first["what"], ln_odds, p)
     return (
         f"One measurement may be what does not fit: without {first['what']} everything does (p = "

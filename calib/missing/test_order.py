@@ -35,6 +35,8 @@ _LINES = 5
 _NARROW = 1e-3
 """Resolution over the frequency of a mode without damping."""
 _AS_BEFORE = "as before"
+_INTERVAL = "95 % interval"
+"""Whose width a step narrows, as its words begin."""
 
 
 def test_order(
@@ -86,7 +88,8 @@ def first_steps(order: pd.DataFrame, purpose: str) -> str:
     purpose : str
         What it is for, such as ``To tell them apart``.
     """
-    steps = [f"{r['what']} ({r['narrows']})".replace("→", "->") for r in order.to_dict("records")]
+    gains = [str(words).removeprefix(f"{_INTERVAL}: ") for words in order["narrows"]]
+    steps = [f"{what} ({gain})".replace("→", "->") for what, gain in zip(order["what"], gains, strict=True)]
     best = int(order["best"].to_numpy(dtype=bool).argmax())
     more = f"; the most is gained by {steps[best]}" if best else ""
     return f"{purpose}, the cheapest is {steps[0]}{more}."
@@ -168,7 +171,7 @@ def _narrowing(
         words = f"odds of about {odds} for the true one of {' and '.join(design.competing.names)} ({chance:.0f} % sure)"
         return row | {"width_now": math.nan, "width_then": math.nan, "narrows": words}
     if math.isfinite(now) and now > 0:
-        words = f"95 % interval{of_which.format(name)}: {rounded(now)} → {rounded(now / gain)}{unit_words(unit)} wide"
+        words = f"{_INTERVAL}{of_which.format(name)}: {rounded(now)} → {rounded(now / gain)}{unit_words(unit)} wide"
         return row | {"narrows": words}
     return row | {"narrows": f"{name} shows {gain:.2g} times as clearly"}
 

@@ -111,7 +111,7 @@ def verdict_of(
     """
     leave_out = _without_doubtful(found, doubts)
     words = leave_out or WORDS[found.verdict](found, effects)
-    sure, support = [coverage_sentence(found), words.sure], list(words.support)
+    sure, support = [words.sure], list(words.support)
     if found.verdict == "misfit_unlocated" and disagreements is not None:
         repeats = worst_repeats(found.base_adequacy, disagreements)[:_REPEATS]
         support.append("Repeats that disagree with the others: " + ", ".join(repeats) + "." if repeats else "")
@@ -139,6 +139,7 @@ def verdict_of(
         named, odds = found.chosen.names[0], found.odds_against_datum
         sure.append(suspect_in_short(found.suspects, odds))
         support.insert(0, suspect_sentence(found.suspects, named, odds))
+    sure.append(coverage_sentence(found))
     if assumed:
         sure.append(f"These results rest on an assumed standard deviation: {assumed}.")
     sure += supposed

@@ -85,32 +85,32 @@ def misfit_words(found: Explanation) -> str:
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary: what was tried, and what the data make of it."""
-    return f"If {_had_it_been_so(found)}, {family_in_short(found)}."
+    return f"{_if_nothing(found).capitalize()}, such a misfit would be chance: {family_in_short(found)}."
 
 
 def _if_nothing(found: Explanation) -> str:
-    return f"if {_had_it_been_so(found)}"
-
-
-def _had_it_been_so(found: Explanation) -> str:
-    return "only the measurement were wrong so" if found.granted else "nothing were missing"
+    return f"if {'only the measurement were wrong so' if found.granted else 'nothing were missing'}"
 
 
 def family_in_short(found: Explanation) -> str:
-    """The two tests of the base model: what the best change tried gains, and how badly the worst group of data fits."""
+    """The two tests of the base model: what the best change tried gains, and how badly the worst kind of data fits."""
     adequacy = found.base_adequacy
     causes, perturbations, errors = _counts(found)
     errors += 0 if adequacy.pairs is None else adequacy.pairs.number
     tried = {"listed causes": causes, "stiffness or mass at single places": perturbations, "measurement errors": errors}
     number = sum(tried.values())
-    kinds = ", ".join(_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"])
-    groups = f" ({kinds})" if len(adequacy.kinds) > 1 else ""
-    worst = f"the worst group of data{groups} would fit as badly with {p_words(adequacy.p_fit)}"
+    worst = f"{p_words(adequacy.p_fit)} for {_worst_of(adequacy)}"
     if not number:
         return worst
     words = names_in_words([what for what, count in tried.items() if count])
-    best = f"the best of {number} changes tried ({words})" if number > 1 else f"the one change tried ({words})"
-    return f"{best} would lower the misfit as much with {p_words(adequacy.p_family)}, and {worst}"
+    best = f"the best of {number} changes tried" if number > 1 else "the one change tried"
+    return f"{p_words(adequacy.p_family)} for what {best} gains ({words}), {worst}"
+
+
+def _worst_of(adequacy: AdequacyTests) -> str:
+    """The group of data whose p-value is told, in words."""
+    kinds = [_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
+    return f"the worst of {names_in_words(kinds)}" if len(kinds) > 1 else "the data"
 
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
@@ -125,10 +125,10 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
         return f"With {them} something is left ({p_words(adequacy.p_family)} for the largest score)."
     if adequacy.p_family <= alpha:
         return f"With {them} the data fit better than independent errors of their standard deviations would."
-    fits = "but the fit is poor" if adequacy.p_fit <= alpha else "and the data fit"
+    rest = "but what remains is more than noise" if adequacy.p_fit <= alpha else "and what remains may be noise"
     return (
-        f"With {them} no further effect or place stands out ({p_words(adequacy.p_family)}), {fits} "
-        f"({p_words(adequacy.p_fit)} for the worst group of them; rejected at {alpha:g} or less)."
+        f"With {them} no further cause or place stands out ({p_words(adequacy.p_family)}), {rest} "
+        f"({p_words(adequacy.p_fit)} for {_worst_of(adequacy)}; rejected at {alpha:g} or less)."
     )
 
 
@@ -275,9 +275,12 @@ def elsewhere(
     known = [distance for distance in away.values() if math.isfinite(distance)]
     if not known or not away[best] > min(known):
         return ""
+    named, what = found.base_adequacy.named, in_prose(chosen.names[0])
+    own = dict(zip(named.owners, named.magnitude, strict=True)).get(chosen.names[0], 0.0)
+    less = f" (less well than the {what})" if own > scores.magnitude.max() else ""
     return (
-        f"The list of causes assumes where the {in_prose(chosen.names[0])} is. By the data alone, {best} fits best, "
-        f"{away[best]:.2g} m from there: inspect both places."
+        f"The list of causes assumes where the {what} is. Of changes at single sensors, {best} fits best{less}, "
+        f"{away[best]:.2g} m away: inspect both places."
     )
 
 

@@ -47,7 +47,7 @@ def _nothing(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
             "can be tested.",
             "Measure more modes or mode shapes, or hold parameters that are known, and ask again.",
         )
-    sure = f"The data are as expected of a complete model, in which {family_in_short(found)}."
+    sure = f"The data are as expected of a complete model: {family_in_short(found)}."
     if found.base_adequacy.overstated and found.base_adequacy.p_family <= found.alpha:
         kinds = found.base_adequacy.kinds
         sure = (

@@ -85,11 +85,10 @@ class AnsweredPlace:
             out["star"] = f"{what},\n{first} m{also} by the list of causes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m from the star"
-            best = f"by the data alone,\n{self.alone} fits best"
+            best = f"of changes at single sensors,\n{self.alone} fits best"
             out["diamond"] = f"{best}{away}" if len(self.acts) else f"the data point to\n{self.alone}"
         if self.sensor:
-            it = "what is at the star" if len(self.acts) else "it"
-            out["ring"] = f"sensor {self.sensor}, where {it}\nchanges the mode shapes most"
+            out["ring"] = f"sensor {self.sensor},\nwhich shows it most"
         return out
 
 

@@ -79,7 +79,7 @@ def test_a_figure_whose_results_are_not_at_hand_keeps_its_file(tmp_path, monkeyp
 def test_a_verdict_and_the_read_me_say_of_intervals_what_was_counted():
     counted = (ROOT / "docs/error_rates.md").read_text("utf-8")
     held, of = map(int, re.search(r"Intervals cover the truth in (\d+) of (\d+)", counted).groups())
-    assert (MODES.held, MODES.of) == (held, of) and f"as {round(100 * held / of)} %" in MODES.sentence
+    assert (MODES.held, MODES.of) == (held, of) and f"({round(100 * held / of)} %)" in MODES.sentence
     assert MODES.sentence in " ".join(README.read_text("utf-8").split())
 
 

@@ -27,4 +27,4 @@ def test_only_a_named_magnitude_of_a_modal_test_has_a_counted_coverage(kinds, na
 
 def test_the_share_is_that_of_the_counts():
     counted = Coverage(9, 12, "computed tests of a frame")
-    assert counted.percent == 75 and "as 75 %" in counted.sentence and "9 of 12" in counted.sentence
+    assert counted.percent == 75 and "(75 %)" in counted.sentence and "9 of 12" in counted.sentence

@@ -42,7 +42,7 @@ def near(places, best, x):
 
 def test_it_is_told_where_another_sensor_is_nearer_to_the_effect(found, places, best):
     words = elsewhere(found, near(places, best, 1.9), [(0.0, 0.0, 0.0)])
-    assert "list of causes" in words and f"{best} fits best, 2 m from there" in words
+    assert "list of causes" in words and f"{best} fits best (less well than the E2), 2 m away" in words
     assert elsewhere(found, near(places, best, 2.1), [(0.0, 0.0, 0.0)]) == ""
     # an effect that acts at several places is near where any of them is
     assert elsewhere(found, near(places, best, 1.9), [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0)]) == ""

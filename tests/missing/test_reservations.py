@@ -62,8 +62,8 @@ def test_invisible_effects_are_counted_beyond_six(found, effects):
     many = pd.concat(
         [effects, *(effects.iloc[-1:].assign(name=f"F{k}", title=f"Crack {k}", visible=False) for k in range(8))]
     )
-    (doubt,) = [one.doubt for one in reservations(found, many) if "Not visible" in one.doubt]
-    assert "Crack 0; Crack 1;" in doubt and "Crack 6" not in doubt and "2 more" in doubt
+    (doubt,) = [one.doubt for one in reservations(found, many) if "cannot show" in one.doubt]
+    assert "crack 0; crack 1;" in doubt and "Crack 6" not in doubt and "2 more" in doubt
 
 
 def test_sentences_name_effects_in_words_and_a_mode_first_with_its_frequency():

@@ -54,10 +54,12 @@ def test_one_bad_value_is_named_and_nothing_else(toy):
     assert set(explaining["what"]) <= {"frequency of M2", "mode M2"}  # the mode contains the value
     assert "frequency of M2" in suspect_sentence(table) and "before the model" in suspect_sentence(table)
     beside = suspect_sentence(table, "E1")  # an effect that is named all the same explains it better
-    assert "frequency of M2" in beside and "the odds are more than 20:1 against that" in beside
-    assert "the odds are 150:1 against that" in suspect_sentence(table, "E1", math.log(150.0))
+    assert "frequency of M2" in beside and "the odds are more than 20:1 against that measurement being wrong" in beside
+    assert "the odds are 150:1 against that measurement" in suspect_sentence(table, "E1", math.log(150.0))
     capped = suspect_in_short(table, 100.0)
-    assert capped.endswith("the odds are over 10,000:1 against that. Check the frequency of M2 to be sure.")
+    assert capped.endswith(
+        "the odds are over 10,000:1 against that measurement being wrong. Check the frequency of M2 to be sure."
+    )
 
 
 def test_the_closed_form_is_a_fit_without_the_datum(toy):

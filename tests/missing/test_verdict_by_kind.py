@@ -58,18 +58,21 @@ def test_what_to_look_for_is_one_sentence_without_a_colon_of_its_own(cases, text
     assert look_for_one_of((e, replace(e, look_for=text))) == f"Look for a broken E2. Or {lower}"
 
 
+KINDS = "frequencies, damping and mode shapes"
+
+
 def test_a_poor_fit_of_a_named_effect_is_stated(cases):
     found = cases["effect"]
     poor = replace(found, chosen_adequacy=replace(found.chosen_adequacy, p_fit=0.004))
     text, family = text_of(poor), f"p = {found.chosen_adequacy.p_family:.2g}"
     assert f"{WORST} has p = 0.004, which is poor" in text
-    short = "With it no further effect or place stands out"
+    short = "With it no further cause or place stands out"
     assert (
-        f"{short} ({family}), but the fit is poor (p = 0.004 for the worst group of them; rejected at 0.01 or less)."
-        in text
+        f"{short} ({family}), but what remains is more than noise (p = 0.004 for the worst of {KINDS}; "
+        "rejected at 0.01 or less)." in text
     )
-    good = f"(p = {found.chosen_adequacy.p_fit:.2g} for the worst group of them; rejected at 0.01 or less)"
-    assert f"{short} ({family}), and the data fit {good}." in text_of(found)
+    good = f"(p = {found.chosen_adequacy.p_fit:.2g} for the worst of {KINDS}; rejected at 0.01 or less)"
+    assert f"{short} ({family}), and what remains may be noise {good}." in text_of(found)
 
 
 def test_data_that_can_show_no_effect_are_said_to(cases):

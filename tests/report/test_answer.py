@@ -139,7 +139,7 @@ def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern,
 def test_the_sides_that_the_axes_name_are_marked(sensors, acts, pattern, local, axes, ends):
     with style(), upright(axes):
         arrows = side_arrows(REST.reshape(-1, 3))
-        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), "unit", "", sensors, None)
+        figure = answer_figure(REST, answered_place(sensors, acts, pattern, local), ["unit"], {}, sensors, None)
     assert {text.get_text() for text in figure.axes[0].texts} & {"front", "left"} == set(arrows) == set(ends)
     for side, (start, end) in arrows.items():
         way = np.abs(end - start)

@@ -154,9 +154,8 @@ def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
     low, high = (with_unit(freq * (1 + side * _NEAR), "Hz", 3) for side in (-1, 1))
     return (
         f"{name[:1].upper()}{name[1:]} adds a mode at {with_unit(freq, 'Hz', 3)} that no measured mode pairs with. "
-        f"The motion of the {name} relative to the structure has {fixed(100 * float(own['share']), 0)} % of the "
-        "kinetic energy of this mode. The structure moves too, so that the frequency of the mode is not the natural "
-        f"frequency of the {name} alone.",
+        f"The {name} has {fixed(100 * float(own['share']), 0)} % of the kinetic energy of that mode and the structure "
+        f"has the rest: its frequency is not the natural frequency of the {name} alone.",
         f"Look for a peak between {low} and {high} in the FRFs at the place, or excite there and measure it.",
     )
 
