@@ -154,6 +154,14 @@ def alike(found: Explanation, fault: CandidateFit, one: CandidateFit) -> bool:
     return max(abs(float(named.unit[:, k] @ direction)) for k in named.of(one.names[0])) > RULES.confounded
 
 
+def alike_faults(found: Explanation, fault: CandidateFit, other: CandidateFit) -> bool:
+    """Whether another fault explains at least half of what a fault does, in log evidence and in change pattern."""
+    if not found.ln_bayes(other) > max(RULES.by_far * found.ln_bayes(fault), RULES.credible):
+        return False
+    one, two = _direction(found, fault), _direction(found, other)
+    return one is not None and two is not None and float(one @ two) ** 2 > RULES.by_far
+
+
 def _direction(found: Explanation, fault: CandidateFit) -> np.ndarray | None:
     known = found.base_adequacy.suspects
     if known is None:

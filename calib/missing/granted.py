@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 
-from calib.missing.blame import alike, outweighs
+from calib.missing.blame import alike, alike_faults, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.place import takes_enough
@@ -36,7 +37,9 @@ def with_fault(
     (`DecisionRules.least_share`), so that it comes before them; or, beside the best effect, it is predicted to explain
     more of what is left than any further effect, by 20:1, and enough for so many faults. The decision is then taken
     anew with the fault in the base model, which may grant a further one, up to `DecisionRules.most_effects`. Its answer
-    counts if it leaves nothing over, and if every fault that was granted is needed in it.
+    counts if it leaves nothing over, and if every fault that was granted is needed in it. Where that of the first fault
+    does not, the next one like it (`calib.missing.blame.alike_faults`) is granted instead: while an effect is missing,
+    evidence does not tell which of two modes holds a share of the other.
 
     Parameters
     ----------
@@ -53,30 +56,41 @@ def with_fault(
     """
     if len(fits.granted) >= RULES.most_effects or not fits.hypotheses.faults:
         return None
-    taken = _first(fits, found, best) or (None if best is None or tests is None else _beside(fits, best, tests))
-    if taken is None:
-        return None
-    fault, values = taken
+    first = _first(fits, found, best)
+    if not first:
+        beside = None if best is None or tests is None else _beside(fits, best, tests)
+        first = () if beside is None else (beside,)
+    for fault, values in first:
+        told = _granting(fits, fault, values, again)
+        if told is not None:
+            alone = next((t for t in found.faults if t.names == (fault.name,)), None)
+            known = () if alone is None else singles
+            like = tuple(t.names[0] for t in known if not t.implausible and alone and alike(found, alone, t))
+            return replace(told, mistakable=(*((fault.name, name) for name in like), *told.mistakable))
+    return None
+
+
+def _granting(fits: Refits, fault: Candidate, values: Mapping[str, float], again: Again) -> Explanation | None:
+    """The decision with a fault granted, from values of its fit; None where its answer does not count."""
     fits.announce(f"deciding with {fault.title}")
     granting = fits.with_granted(fault)
     told = again(granting, {name: value for name, value in values.items() if name in granting.fit_problem(()).space})
     if told.verdict == "nothing_detectable":
         told = replace(told, verdict="measurement")
     explains = told.verdict in (*NAMED, "indistinguishable") or (told.verdict == "measurement" and not told.remains)
-    if not explains or not _needed(fits, told, fault):
-        return None
-    alone = next((t for t in found.faults if t.names == (fault.name,)), None)
-    like = () if alone is None else tuple(t.names[0] for t in singles if not t.implausible and alike(found, alone, t))
-    return replace(told, mistakable=(*((fault.name, name) for name in like), *told.mistakable))
+    return told if explains and _needed(fits, told, fault) else None
 
 
-def _first(fits: Refits, found: Explanation, best: CandidateFit | None) -> tuple[Candidate, Mapping[str, float]] | None:
-    """A fault that comes before every effect, with the values of its fit."""
+def _first(
+    fits: Refits, found: Explanation, best: CandidateFit | None
+) -> tuple[tuple[Candidate, Mapping[str, float]], ...]:
+    """A fault that comes before every effect, with the values of its fit, and before others the next one like it."""
     fault = found.fault
     if fault is None or not takes_enough(found, fault) or not outweighs(fits, found, best, RULES.credible):
-        return None
-    (one,) = fault.effects
-    return (one, fault.fit.values) if has_possible_size(fault.fit, one) else None
+        return ()
+    like = (t for t in found.faults if t.names != fault.names and not t.implausible and alike_faults(found, fault, t))
+    several = (fault, *islice(like, 0 if fits.granted else 1))
+    return tuple((t.effects[0], t.fit.values) for t in several if has_possible_size(t.fit, t.effects[0]))
 
 
 def _beside(fits: Refits, best: CandidateFit, tests: AdequacyTests) -> tuple[Candidate, Mapping[str, float]] | None:

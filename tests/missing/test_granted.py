@@ -65,6 +65,20 @@ def test_more_than_four_are_not_told_as_all(faulty):
     assert found.remains or found.verdict in ("none_explains", "misfit_unlocated", "partial")
 
 
+def test_of_two_faults_alike_the_other_is_granted_where_the_first_leaves_something(faulty, monkeypatch):
+    """F2 has most of the pattern of F3 and a part of E1's, so that it stands out while E1 is missing."""
+    made = faulty()
+    own = {name: column / np.linalg.norm(column) for name, column in made.columns.items()}
+    other = np.random.default_rng(3).standard_normal(len(own["F3"]))
+    mixed = own["F3"] + 0.35 * own["E1"] + 0.35 * other / np.linalg.norm(other)
+    made = replace(made, columns={**made.columns, "F2": 8.0 * mixed / np.linalg.norm(mixed)})
+    posed = made.drawn(np.random.default_rng(1), {"E1": 2.0, "F3": 3.0})
+    found = decide(posed)
+    assert found.verdict == "effect" and found.credible == ("E1",) and set(told(found)) == {"F3"}
+    monkeypatch.setattr("calib.missing.granted.alike_faults", lambda *_: False)
+    assert set(told(decide(posed))) != {"F3"}
+
+
 def test_an_effect_like_a_granted_fault_is_told_in_its_place(faulty):
     made = faulty(kind="damping").correlated("F2", "E2", 0.97)
     found = decide(made.drawn(np.random.default_rng(3), {"E1": 2.0, "F2": 3.0}))
