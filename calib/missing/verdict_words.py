@@ -276,7 +276,10 @@ def elsewhere(
     if not known or not away[best] > min(known):
         return ""
     named, what = found.base_adequacy.named, in_prose(chosen.names[0])
-    own = dict(zip(named.owners, named.magnitude, strict=True)).get(chosen.names[0], 0.0)
+    own = max(
+        (float(score) for name, score in zip(named.owners, named.magnitude, strict=True) if name == chosen.names[0]),
+        default=0.0,
+    )
     less = f" (less well than the {what})" if own > scores.magnitude.max() else ""
     return (
         f"The list of causes assumes where the {what} is. Of changes at single sensors, {best} fits best{less}, "
