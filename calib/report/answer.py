@@ -214,7 +214,7 @@ def answer_figure(
         handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))
     handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
     figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(0.85 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.7
+        handles=handles, loc="lower left", bbox_to_anchor=(1.05 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.7
     )
     scene.show_axes(figure)
     if bars is not None:
