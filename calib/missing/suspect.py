@@ -23,7 +23,7 @@ from calib.problem.degrees_of_freedom import hat_root, p_value
 from calib.problem.labels import Label, Labelled, RowLabels
 
 COLUMNS = ("what", "kind", "rows", "chi2", "dof", "p", "p_fit_without", "explains")
-ESTIMATED = "estimated without fitting again"
+ESTIMATED = "by a linear estimate"
 """How the p-value of a fit without a datum is known, in words."""
 _SINGULAR = 1e-9
 """Smallest part of the variance of a combination of values left by the parameters; below it, prediction is rounding."""
@@ -178,7 +178,7 @@ def suspect_in_short(table: pd.DataFrame, ln_odds: float = math.nan) -> str:
 
 def _beside(what: str, ln_odds: float, p: str = "") -> str:
     odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
-    fits = f"Without {_the(what)} the model fits as it is{p}"
+    fits = f"If {_the(what)} were left out, the model would fit unchanged{p}"
     return f"{fits}, but the odds are {odds} against that measurement being wrong."
 
 

@@ -85,7 +85,8 @@ def misfit_words(found: Explanation) -> str:
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary: what was tried, and what the data make of it."""
-    return f"{_if_nothing(found).capitalize()}, such a misfit would be chance: {family_in_short(found)}."
+    with_that = "only the measurement wrong so" if found.granted else "nothing missing"
+    return f"With {with_that}, a misfit like this has {family_in_short(found)}."
 
 
 def _if_nothing(found: Explanation) -> str:
@@ -99,18 +100,18 @@ def family_in_short(found: Explanation) -> str:
     errors += 0 if adequacy.pairs is None else adequacy.pairs.number
     tried = {"listed causes": causes, "stiffness or mass at single places": perturbations, "measurement errors": errors}
     number = sum(tried.values())
-    worst = f"{p_words(adequacy.p_fit)} for {_worst_of(adequacy)}"
+    worst = f"{p_words(adequacy.p_fit)} ({_worst_of(adequacy)})"
     if not number:
         return worst
     words = names_in_words([what for what, count in tried.items() if count])
-    best = f"the best of {number} changes tried" if number > 1 else "the one change tried"
-    return f"{p_words(adequacy.p_family)} for what {best} gains ({words}), {worst}"
+    best = f"the largest gain of {number} changes tried" if number > 1 else "the gain of the one change tried"
+    return f"{p_words(adequacy.p_family)} ({best}: {words}) and {worst}"
 
 
 def _worst_of(adequacy: AdequacyTests) -> str:
     """The group of data whose p-value is told, in words."""
     kinds = [_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
-    return f"the worst of {names_in_words(kinds)}" if len(kinds) > 1 else "the data"
+    return f"the worst of {names_in_words(kinds)}, corrected for their number" if len(kinds) > 1 else "the data"
 
 
 def with_in_short(found: Explanation, them: str = "it") -> str:
@@ -128,7 +129,7 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
     rest = "but what remains is more than noise" if adequacy.p_fit <= alpha else "and what remains may be noise"
     return (
         f"With {them} no further cause or place stands out ({p_words(adequacy.p_family)}), {rest} "
-        f"({p_words(adequacy.p_fit)} for {_worst_of(adequacy)}; rejected at {alpha:g} or less)."
+        f"({p_words(adequacy.p_fit)} for {_worst_of(adequacy)}; limit {alpha:g})."
     )
 
 
@@ -281,10 +282,8 @@ def elsewhere(
         default=0.0,
     )
     less = f" (less well than the {what})" if own > scores.magnitude.max() else ""
-    return (
-        f"The list of causes assumes where the {what} is. Of changes at single sensors, {best} fits best{less}, "
-        f"{away[best]:.2g} m away: inspect both places."
-    )
+    assumed, away_by = f"The list of causes assumes where the {what} is", f"{away[best]:.2g} m away"
+    return f"{assumed}. Of single masses or springs anywhere, {best} fits best{less}, {away_by}: inspect both places."
 
 
 def as_it_is(effects: Sequence[Candidate]) -> str:

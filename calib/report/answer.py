@@ -82,13 +82,13 @@ class AnsweredPlace:
             first = places(self.acts[:_PLACES].tolist(), _PLACES)
             more = len(self.acts) - _PLACES
             also = f" and {more} more place{'s' if more > 1 else ''}" if more > 0 else ""
-            out["star"] = f"{what},\n{first} m{also} by the list of causes"
+            out["star"] = f"{what},\nat {first} m{also},\nas the list of causes assumes"
         if self.alone:
             away = "" if np.isnan(self.away) else f", {significant(self.away, 2)} m from the star"
-            best = f"of changes at single sensors,\n{self.alone} fits best"
+            best = f"of single masses or springs anywhere,\n{self.alone} fits best"
             out["diamond"] = f"{best}{away}" if len(self.acts) else f"the data point to\n{self.alone}"
         if self.sensor:
-            out["ring"] = f"sensor {self.sensor},\nwhich shows it most"
+            out["ring"] = f"sensor {self.sensor},\nwhere it changes the modes most"
         return out
 
 

@@ -58,7 +58,7 @@ def test_what_to_look_for_is_one_sentence_without_a_colon_of_its_own(cases, text
     assert look_for_one_of((e, replace(e, look_for=text))) == f"Look for a broken E2. Or {lower}"
 
 
-KINDS = "frequencies, damping and mode shapes"
+KINDS = "frequencies, damping and mode shapes, corrected for their number"
 
 
 def test_a_poor_fit_of_a_named_effect_is_stated(cases):
@@ -69,9 +69,9 @@ def test_a_poor_fit_of_a_named_effect_is_stated(cases):
     short = "With it no further cause or place stands out"
     assert (
         f"{short} ({family}), but what remains is more than noise (p = 0.004 for the worst of {KINDS}; "
-        "rejected at 0.01 or less)." in text
+        "limit 0.01)." in text
     )
-    good = f"(p = {found.chosen_adequacy.p_fit:.2g} for the worst of {KINDS}; rejected at 0.01 or less)"
+    good = f"(p = {found.chosen_adequacy.p_fit:.2g} for the worst of {KINDS}; limit 0.01)"
     assert f"{short} ({family}), and what remains may be noise {good}." in text_of(found)
 
 

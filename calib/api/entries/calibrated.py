@@ -152,7 +152,7 @@ def suspect_rows(table: pd.DataFrame) -> Iterator[Rows]:
         for r in guilty.to_dict("records")
     ]
     heads = ("left out", "rows", "lowers the sum of squares by", "p", "p of the fit without")
-    yield Rows.of("The model fits without any one of these (estimated without fitting again):", heads, rows, most=4)
+    yield Rows.of("The model fits without any one of these (by a linear estimate):", heads, rows, most=4)
 
 
 def _of_tests(result: JointCalibration) -> Iterator[tuple[str, ...]]:
