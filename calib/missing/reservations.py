@@ -91,7 +91,7 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
         more = [] if len(unseen) <= _LISTED else [f"{len(unseen) - _LISTED} more"]
         yield Reservation(
             f"These data cannot show whether there is: {'; '.join([*map(lowered, unseen[:_LISTED]), *more])}.",
-            "The recommended measurements tell what would show each.",
+            "What would show each stands under Recommended measurements.",
         )
 
 

@@ -178,7 +178,7 @@ def suspect_in_short(table: pd.DataFrame, ln_odds: float = math.nan) -> str:
 
 def _beside(what: str, ln_odds: float, p: str = "") -> str:
     odds = as_ratio(ln_odds) if math.isfinite(ln_odds) else f"more than {as_ratio(RULES.credible)}"
-    fits = f"If {_the(what)} were left out, the model would fit unchanged{p}"
+    fits = f"If {_the(what)} were left out, the model would fit with nothing added{p}"
     return f"{fits}, but the odds are {odds} against that measurement being wrong."
 
 

@@ -88,7 +88,7 @@ class AnsweredPlace:
             best = f"of single masses or springs anywhere,\n{self.alone} fits best"
             out["diamond"] = f"{best}{away}" if len(self.acts) else f"the data point to\n{self.alone}"
         if self.sensor:
-            out["ring"] = f"sensor {self.sensor},\nwhere it changes the modes most"
+            out["ring"] = f"sensor {self.sensor},\nwhose motion the cause changes most"
         return out
 
 

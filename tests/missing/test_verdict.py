@@ -98,7 +98,7 @@ def test_a_datum_on_which_all_rests_is_stated_with_how_sure(cases):
     table = pd.DataFrame({"what": ["frequency of M2", "mode M2"], "explains": [True, True]})
     asked = replace(found, suspects=table.assign(p=1e-9, p_fit_without=0.1), odds_against_datum=5.0)
     words = suspect_sentence(asked.suspects, "E2", 5.0)
-    assert "If the frequency of M2 were left out, the model would fit unchanged" in words and "150:1" in words
+    assert "If the frequency of M2 were left out, the model would fit with nothing added" in words and "150:1" in words
     assert words in text_of(asked) and "frequency of M2" not in text_of(found)
     assert suspect_in_short(asked.suspects, 5.0) in text_of(asked)
     assert "frequency of M2" not in text_of(replace(asked, suspects=asked.suspects.assign(explains=False)))
