@@ -27,7 +27,7 @@ def test_the_picture_of_the_place_is_the_first_figure_and_shows_what_is_named(ev
     assert told == pytest.approx(size, rel=1e-3)
     afterwards = blocks(everything, Table)["Parameters, calibrated without and with guy"]
     (own,) = [row for row in afterwards.rows if row[0] == "guy"]  # all that are counted as identified are listed
-    assert own[2] == "kN/m" and float(own[7]) == pytest.approx(size, rel=1e-3)  # and the magnitude is the one above
+    assert own[2] == "N/m" and float(own[7]) == pytest.approx(size, rel=1e-3)  # and the magnitude is the one above
 
 
 @pytest.mark.medium
