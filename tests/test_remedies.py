@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
-from calib import StructuralModel
+from calib import StructuralModel, compare_modes
 from calib.study.runs import read_runs
 from calib.study.settings import StudySettings
 
@@ -64,7 +64,9 @@ def test_what_names_a_key_is_seen():
 
 @pytest.mark.parametrize("folder", ["calib", "models"])
 def test_remedies_name_keys_that_exist(folder):
-    options = [*signature(StructuralModel.from_matrices).parameters, *signature(read_runs).parameters]
+    options = [
+        name for f in (StructuralModel.from_matrices, read_runs, compare_modes) for name in signature(f).parameters
+    ]
     own = arguments("models") if folder == "models" else options
     known = keys() | set(own)
     told = list(remedies(folder))

@@ -88,6 +88,9 @@ def compare_modes(
     >>> calib.compare_modes(fe, test).table[["mode", "model_mode", "mac"]].round(3).values.tolist()
     [['1', 1, 1.0], ['2', 2, 1.0]]
     """
+    if length_unit is not None and coordinates is None and str(modes).lower().endswith(".csv"):
+        words = "length_unit is that of computed nodes, and a table of modes has none"
+        raise InputError(words, place=str(modes), remedy="leave it out, or name their coordinates")
     computed = modes if isinstance(modes, MeasuredModes) else read_fe_modes(
         path_of(modes, "modes"),
         shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes"),

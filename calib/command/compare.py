@@ -9,7 +9,7 @@ import typer
 
 from calib.command import terminal
 from calib.command.loaded import loaded_study
-from calib.command.options import Quick, ResultsPath, Verbose, possible, require_used
+from calib.command.options import Quick, ResultsPath, Verbose, possible, require_used_options
 from calib.errors.errors import InputError
 from calib.results.results import RESULTS
 
@@ -61,7 +61,7 @@ def compare_model(
         from calib.api.fe_comparison import compare_files
 
         remedy = "leave it out; --into names the folder of the report and the tables"
-        require_used(context, _OF_STUDIES, "the comparison of files", remedy)
+        require_used_options(context, _OF_STUDIES, "the comparison of files", remedy)
         found, written = compare_files(
             study, computed, measured or [], into, shapes=shapes, sensors=sensors, coordinates=coordinates,
             modes_shapes=modes_shapes, length_unit=length_unit, node_limit=node_limit,
@@ -74,6 +74,6 @@ def compare_model(
         return
     if study is None:
         raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
-    require_used(context, _OF_FILES, "the comparison of a study", "leave it out; files are named in study.toml")
+    require_used_options(context, _OF_FILES, "the comparison of a study", "leave it out; files are named in study.toml")
     with loaded_study("compare", possible(study), results, verbose, quick=quick) as loaded:
         loaded.compare(undamped=undamped)

@@ -20,7 +20,7 @@ from calib.command.options import (
     groups_named,
     limits_of,
     possible,
-    require_used,
+    require_used_options,
 )
 from calib.results.results import RESULTS
 
@@ -51,7 +51,7 @@ def list_designs(
 ) -> None:
     """List the designs that searches and samples have evaluated: values, responses and errors, the best first."""
     if design is not None and not parallel and not draw:  # pictures mark the best ones
-        require_used(context, ("best",), "--design, which tells one design alone,")
+        require_used_options(context, ("best",), "--design, which tells one design alone,")
     with loaded_study("designs", study, results, verbose, quick=quick) as loaded:
         loaded.designs(
             best, feasible=feasible, design=design, csv=csv, anthill=[anthill] if anthill else (), parallel=parallel,

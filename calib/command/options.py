@@ -63,7 +63,9 @@ def groups_named(texts: Sequence[str]) -> dict[str, tuple[str, ...]]:
     return {name: comma_separated(responses) for name, _, responses in pairs}
 
 
-def require_used(context: typer.Context, unused: Sequence[str], form: str, remedy: str = "leave it out") -> None:
+def require_used_options(
+    context: typer.Context, unused: Sequence[str], form: str, remedy: str = "leave it out"
+) -> None:
     """InputError for an option that was typed, but that this form of the command would ignore."""
     for option in context.command.params:
         source = context.get_parameter_source(option.name or "")

@@ -17,7 +17,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
-from calib.inference.linear_estimate import LinearEstimate, joined
+from calib.inference.linear_estimate import LinearEstimate, joined_estimate
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
 from calib.problem.prior import Prior
@@ -142,7 +142,7 @@ def estimate_by_equations(
             estimates.append(found)
             rows.append(slice(begin, begin + count))
         begin += count
-    return joined(estimates, values, rows, begin) if estimates else None
+    return joined_estimate(estimates, values, rows, begin) if estimates else None
 
 
 def _parts(problem: PairProblem[Any] | JointProblem) -> tuple[PairProblem[Any], ...]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.imports.keywords import deck_text, is_keyword, keyword_blocks, value_of
-from calib.imports.meshes import MESHES, read_mesh
+from calib.imports.meshes import MESHES, read_element_mesh
 from calib.imports.systems import placed_nodes
 from calib.measurement.files.csv_format import read_sensor_table
 from calib.measurement.places import Point
@@ -42,7 +42,7 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
     if suffix == ".csv":
         return {node: place for node, (place, _) in read_sensor_table(file).items()}
     if suffix in MESHES:
-        return dict(read_mesh(file, metres).points)
+        return dict(read_element_mesh(file, metres).points)
     if suffix not in DECKS:
         remedy = f"give .csv, {', '.join((*DECKS, *MESHES))}"
         raise InputError(f"unknown kind of file {suffix!r}", place=file, remedy=remedy)

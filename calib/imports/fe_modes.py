@@ -77,9 +77,6 @@ def read_fe_modes(
         raise InputError("there is no such file", place=file, remedy="check the path")
     if length_unit is not None and length_unit not in LENGTHS:
         raise InputError(f"length_unit is {length_unit!r:.40}", place=file, remedy=f"one of {', '.join(LENGTHS)}")
-    if length_unit is not None and coordinates is None and file.suffix.lower() == ".csv":
-        words = "length_unit is that of computed nodes, and a table of modes has none"
-        raise InputError(words, place=file, remedy="leave it out, or name their coordinates")
     metres, suffix = LENGTHS.get(length_unit or "m", 1.0), file.suffix.lower()
     if suffix in (*UFF_SUFFIXES, ".csv"):
         is_table = coordinates is not None and coordinates.suffix.lower() == ".csv"

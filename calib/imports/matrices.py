@@ -19,7 +19,7 @@ from calib.imports.dof_file import read_dofs, table_of
 from calib.imports.elements import edges_of, element_edges, element_sets, held_motions, sets_of
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.keywords import deck_text, with_included
-from calib.imports.meshes import MESHES, has_elements, read_mesh
+from calib.imports.meshes import MESHES, has_elements, read_element_mesh
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
@@ -371,7 +371,7 @@ def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[tuple[int, int
         return (), {}
     nodes = set(table["node"].dropna().astype(int))
     if file.suffix.lower() in MESHES:
-        mesh = read_mesh(file)
+        mesh = read_element_mesh(file)
         of_sets, all_edges = sets_of(mesh.elements, mesh.groups), edges_of(mesh.elements)
     else:
         text = deck_text(file)

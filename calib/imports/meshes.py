@@ -41,7 +41,7 @@ _GMSH: Mapping[int, tuple[int, int, Sequence[Edge]]] = {
 
 
 @dataclass(frozen=True, eq=False)
-class Mesh:
+class ElementMesh:
     """Nodes, elements and named groups of elements.
 
     Attributes
@@ -57,7 +57,7 @@ class Mesh:
     groups: Mapping[str, set[int]] = field(default_factory=dict)
 
 
-def read_mesh(file: Path, metres: float = 1.0) -> Mesh:
+def read_element_mesh(file: Path, metres: float = 1.0) -> ElementMesh:
     """Read a universal file or a text file of Gmsh (versions 2.2 and 4.1).
 
     Universal files give elements of dataset 2412 in the group of their physical property and groups of datasets 2435,
@@ -92,7 +92,7 @@ def has_elements(file: Path) -> bool:
         return False
 
 
-def _universal(file: Path, metres: float) -> Mesh:
+def _universal(file: Path, metres: float) -> ElementMesh:
     blocks, notes = read_blocks(file), list[str]()
     is_stated = any(block.kind == 164 for block in blocks)
     points = nodes_of(file, blocks, length_factor(file, blocks, notes, None if is_stated else metres), notes).points
@@ -101,7 +101,7 @@ def _universal(file: Path, metres: float) -> Mesh:
     for block in blocks:
         for name, members in _groups(block) if block.kind in _GROUPS else ():
             groups.setdefault(name, set()).update(members)
-    return Mesh(points, tuple(found), groups)
+    return ElementMesh(points, tuple(found), groups)
 
 
 def _elements(block: Dataset) -> Iterator[Element]:
@@ -135,13 +135,13 @@ def _groups(block: Dataset) -> Iterator[tuple[str, set[int]]]:
         at += 2 + len(rows)
 
 
-def _gmsh(file: Path, metres: float) -> Mesh:
+def _gmsh(file: Path, metres: float) -> ElementMesh:
     raw = file.read_bytes()
     parts = {name: body.split("\n") for name, body in _sections(raw.decode("latin-1").replace("\r\n", "\n"))}
     version, is_binary, *_ = parts["MeshFormat"][0].split() if "MeshFormat" in parts else ("none", "0")
     if is_binary != "0" or version not in ("2.2", "4.1"):
         words = "its values are binary" if is_binary != "0" else f"it is of version {version}"
-        raise InputError(words, place=file, remedy="save it as text of version 2.2 or 4.1 (Mesh.Binary = 0)")
+        raise InputError(words, place=file, remedy="save it as text of version 2.2 or 4.1")
     names = {
         (int(dim), int(tag)): name
         for line in parts.get("PhysicalNames", ["0"])[1:]
@@ -156,7 +156,7 @@ def _gmsh(file: Path, metres: float) -> Mesh:
         elements.append(Element(number, "", tuple(nodes[:count]), edges))
         for tag in physical:
             groups.setdefault(names.get((dimension, tag), f"group {tag}"), set()).add(number)
-    return Mesh({n: _scaled(p, metres) for n, p in points}, tuple(elements), groups)
+    return ElementMesh({n: _scaled(p, metres) for n, p in points}, tuple(elements), groups)
 
 
 def _sections(text: str) -> Iterator[tuple[str, str]]:

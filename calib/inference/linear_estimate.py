@@ -120,7 +120,7 @@ def _factors(covariance: np.ndarray) -> np.ndarray:
     return np.asarray(scale[:, None] * direction[:, kept] * np.sqrt(size[kept]))
 
 
-def joined(
+def joined_estimate(
     estimates: Sequence[LinearEstimate], values: Mapping[str, float], rows: Sequence[slice], count: int
 ) -> LinearEstimate:
     """One estimate of several tests, each solved alone: a parameter of several is that of the last of them.

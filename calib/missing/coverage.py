@@ -1,4 +1,4 @@
-"""How often 95 % intervals of magnitudes held the truth in computed tests; ``docs/error_rates.md`` has the counts."""
+"""How often 95 % intervals held the true magnitude in computed tests; ``docs/error_rates.md`` has the counts."""
 
 from __future__ import annotations
 
@@ -33,13 +33,11 @@ class Coverage:
     @property
     def sentence(self) -> str:
         """How a stated interval is to be read."""
-        return (
-            f"95 % intervals of magnitudes held the truth in {self.held} of {self.of} {self.tests} ({self.percent} %)."
-        )
+        return f"95 % intervals held the true magnitude in {self.held} of {self.of} {self.tests} ({self.percent} %)."
 
 
 MODES = Coverage(81, 95, "computed tests of bogies")
-"""Of modal tests, by `tests/benchmarks/rates.py`."""
+"""Of modal tests, counted on blind cases; the counts stand in the page on error rates."""
 
 
 def coverage_sentence(found: Explanation) -> str:

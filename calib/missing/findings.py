@@ -38,7 +38,7 @@ from calib.missing.partial import remainder_of
 from calib.missing.pattern import BY_TEST, parameter_table, pattern_table, place_table, reduction_table
 from calib.missing.profile import profile_interval
 from calib.missing.recommendation import COLUMNS as RECOMMENDATION_COLUMNS
-from calib.missing.recommendation import MEASURED, Interval, Recommendation, recommend, recommendation, shortened
+from calib.missing.recommendation import MEASURED, Interval, Recommendation, recommend, recommendation, with_few_rows
 from calib.missing.reservations import Reservation, reservations
 from calib.missing.steps_table import step_fits, steps_tables
 from calib.missing.suspect import suspect_sentence
@@ -329,7 +329,7 @@ def _next(
     told = (pair[0],) if pair is not None else named or unseen
     order = test_order(table, design, told, intervals)
     order["narrows"] = [for_readers(words, design.effects, {}) for words in order["narrows"]]
-    kept = shortened(table)
+    kept = with_few_rows(table)
     tables = {"next_measurement": kept.assign(told=kept["effect"].isin(told)), TEST_ORDER: order}
     advised = recommendation(table, pair, unseen, named, intervals)
     if advised is None or order.empty or MEASURED in advised.short:  # data that are measured already are no step

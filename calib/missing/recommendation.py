@@ -166,7 +166,7 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
     return table.sort_values(order, ascending=False, ignore_index=True, kind="stable").drop(columns="own")
 
 
-def shortened(table: pd.DataFrame) -> pd.DataFrame:
+def with_few_rows(table: pd.DataFrame) -> pd.DataFrame:
     """The table of `recommend` as stored: of more than `MANY` rows the `KEPT` best measurements of each effect."""
     if len(table) <= MANY:
         return table

@@ -19,7 +19,7 @@ from calib.missing.recommendation import (
     Interval,
     recommend,
     recommendation,
-    shortened,
+    with_few_rows,
 )
 from calib.missing.rules import RULES
 from calib.report.verification import best_candidates
@@ -114,13 +114,13 @@ def test_a_shortened_table_draws_and_recommends_what_the_whole_one_does(competin
         odds = table["measurement"].str.split(" ").str[0].astype(float)
         table = table.assign(ln_bayes=odds, ln_bayes_low=odds, ln_bayes_high=odds, chance=0.9)
         table = table.sort_values(["ln_bayes", "gain"], ascending=False, ignore_index=True)
-    short = shortened(table)
+    short = with_few_rows(table)
     assert len(table) > MANY and len(short) == KEPT * len(effects)
     pd.testing.assert_frame_equal(best_candidates(short), best_candidates(table))
     pair = ("E1", "E2") if competing else None
     assert recommendation(short, pair, effects) == recommendation(table, pair, effects)
     assert recommendation(short, None, effects, ["E5"]) == recommendation(table, None, effects, ["E5"])
-    assert len(shortened(table.head(MANY))) == MANY
+    assert len(with_few_rows(table.head(MANY))) == MANY
 
 
 def test_a_measurement_of_little_gain_is_not_recommended():

@@ -32,7 +32,7 @@ from calib.structure.effects.composed import (
 from calib.structure.effects.composition import Composition, Names, dynamic_factor
 from calib.structure.effects.perturbations import LEAST
 from calib.structure.effects.rigid_joints import RigidJoint, member_ends, supports
-from calib.structure.effects.terms import Terms, terms_of_runs
+from calib.structure.effects.terms import Terms, parts_of_terms
 from calib.structure.elongations import elongations
 from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, PartKind, StructuralModel
@@ -90,7 +90,7 @@ def of_parts(model: StructuralModel, names: Names, middle: float) -> Iterator[Co
     middle : float
         Of the measured band, Hz.
     """
-    if terms := terms_of_runs(() if model.parts else parts_of(model)):
+    if terms := parts_of_terms(() if model.parts else parts_of(model)):
         yield from _of_terms(terms, names, middle)
         return
     by_kind: dict[PartKind, list[Part]] = defaultdict(list)

@@ -37,7 +37,7 @@ def term_name(powers: Mapping[str, float]) -> str:
     return " ".join(name if power == 1 else f"{name}^{power:g}" for name, power in own.items()) or CONSTANT
 
 
-def terms_of_runs(parts: Sequence[Part]) -> list[Terms]:
+def parts_of_terms(parts: Sequence[Part]) -> list[Terms]:
     """What terms that matrices from runs gave may have wrong; empty for parts with names of their own.
 
     A power of a thickness is no part of a structure: where a parameter has one beside the first, all of its terms are

@@ -85,12 +85,12 @@ def test_the_added_effect_is_reported_by_parameter_and_by_mode(everything, text,
     found = pd.read_csv(everything / "added_parameters.csv").set_index("parameter")
     head, *rows = read.tables["Parameters, calibrated without and with guy"]
     assert [r[0] for r in rows] == list(found.index) and "guy" in found.index
-    assert head[3] == "without" and head[6] == "with guy"
+    assert head[4] == "without" and head[7] == "with guy"
     for row in rows:
         assert found["added"][row[0]] == (row[0] == "guy")
-        assert found["added"][row[0]] or "–" not in (row[2], row[3])
-        assert reader.number(row[6]) == pytest.approx(found["after"][row[0]], rel=6e-4)
-        assert (row[8] == "yes") == found["after_identified"][row[0]]
+        assert found["added"][row[0]] or "–" not in (row[3], row[4])
+        assert reader.number(row[7]) == pytest.approx(found["after"][row[0]], rel=6e-4)
+        assert (row[9] == "yes") == found["after_identified"][row[0]]
     compared = pd.read_csv(everything / "comparison_added.csv").set_index("mode")
     head, *rows = read.tables["Mode by mode, calibrated with guy"]
     for row in rows:
