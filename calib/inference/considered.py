@@ -139,6 +139,10 @@ class _SigmaPoints:
     at : At
     covariance : ndarray (n_params, n_params)
         Of the estimates, without held parameters.
+    name : str
+        The held parameter.
+    sd : float
+        Its standard deviation.
     linear : ndarray (n_rows,)
         Change of the residual by one standard deviation, by the derivative.
     points : pair of dict
@@ -155,6 +159,8 @@ class _SigmaPoints:
 
     at: At
     covariance: np.ndarray
+    name: str
+    sd: float
     linear: np.ndarray
     points: tuple[dict[str, float], dict[str, float]]
     off: np.ndarray
@@ -194,7 +200,7 @@ class _SigmaPoints:
             cut.append(far * shift - by)
         pair = points[0], points[1]
         broken = any(_breaks(constraint, at.names, covariance, shift, pair) for constraint in problem.space.constraints)
-        return cls(at, covariance, linear, pair, np.column_stack(off), np.column_stack(cut), width, broken)
+        return cls(at, covariance, name, sd, linear, pair, np.column_stack(off), np.column_stack(cut), width, broken)
 
     @property
     def is_linear(self) -> bool:
@@ -214,16 +220,32 @@ class _SigmaPoints:
         """The change that shifts the estimates as fits at the two points do; that of the points where these fail."""
         at = self.at
         try:
-            low, high = (fit(problem, problem.space, point, settings=_ROUGH).values for point in self.points)
+            ends = [fit(problem, problem.space, point, settings=_ROUGH).values for point in self.points]
         except (EvaluationError, InfeasibleError):
             return self.secant
-        shift = np.array([high[n] - low[n] for n in at.names]) / self.width
+        shift = self._shift(problem.space, np.array([[end[n] for n in at.names] for end in ends]))
         # Of all H with this B the one that differs from the secant within the columns of G.
         std = np.sqrt(np.diag(self.covariance))
         scale = np.where(std > 0, std, 1.0)
         g = at.slope * scale
         wanted = g.T @ self.secant + (g.T @ g + np.diag((scale / at.prior_sd) ** 2)) @ (shift / scale)
         return np.asarray(self.secant - g @ np.linalg.lstsq(g.T @ g, wanted, rcond=1e-10)[0])
+
+    def _shift(self, space: ParameterSpace, ends: np.ndarray) -> np.ndarray:
+        """Shift of the estimates by one standard deviation, (n_params,), from the fits at both points (2, n_params).
+
+        The interval has two sides and the truth lies on either: where the shifts differ, as where a limit stops an
+        estimate at one point, the larger counts. That of an estimate which is stopped at both is at least the linear
+        one, which knows no limit.
+        """
+        names, centre = self.at.names, self.at.values
+        far = np.array([(point[self.name] - centre[self.name]) / self.sd for point in self.points])
+        moved = ends - np.array([centre[n] for n in names])
+        sides = [by / way for by, way in zip(moved, far.tolist(), strict=True) if way]
+        stopped = [[space[n].limit_at(v) is not None for n, v in zip(names, end, strict=True)] for end in ends.tolist()]
+        free = -self.covariance @ (self.at.slope.T @ self.linear)
+        every = np.array([*sides, np.where(np.all(stopped, axis=0), free, 0.0)])
+        return np.asarray(every[np.argmax(np.abs(every), axis=0), np.arange(len(names))])
 
 
 def _within(p: Parameter, value: float, change: float) -> float:

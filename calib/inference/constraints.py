@@ -117,18 +117,24 @@ class Hold(NamedTuple):
         How far the optimum lies beyond it, in standard deviations of the sum that it limits.
     part : float
         Absolute correlation of the parameter with that sum; 1 for a limit.
+    beside : str
+        The limit of another parameter, or the constraint of others, in words; empty where the parameter takes part.
     """
 
     by: str
     side: int
     beyond: float
     part: float
+    beside: str = ""
 
     def interval(self, std: float) -> tuple[float, float]:
         """Ends of the interval of 95 %, less the value, on the allowed side: of a normal distribution, truncated.
 
-        What of the parameter does not depend on the sum has an interval of both sides.
+        What of the parameter does not depend on the sum has an interval of both sides, and so has a parameter beside
+        what is held.
         """
+        if self.beside:
+            return -WIDE * std, WIDE * std
         # P(t > q) = Phi(-beyond - q)/Phi(-beyond) for the distance t from the limit.
         tail = float(special.log_ndtr(-self.beyond)) + math.log(_LEVEL)
         reach = self.part * std * (-float(special.ndtri_exp(tail)) - self.beyond)
@@ -153,7 +159,8 @@ def holds(
     A constraint holds parameters where their sum is on it (see `calib.problem.parameter.limit_at`), unless it counts
     as data: of its parameters those that it informs more than all else does, or that would move by more than one
     standard deviation without it. A constraint holds nothing where held parameters leave its sum more uncertain than
-    the fitted ones do.
+    the fitted ones do. A limit holds its parameter. Other parameters, beside a limit or a constraint, are held where
+    they would move by more than one standard deviation without it.
 
     Parameters
     ----------
@@ -193,19 +200,29 @@ def holds(
         by_data = finite @ c
         along, push = by_data + shift @ (shift.T @ c), max(side * float(by_data @ descent), 0.0)
         beyond = push / own if math.isfinite(own) else 0.0
-        for k in np.flatnonzero(c).tolist():
+        for k in range(len(names)):
             part, moved = 1.0, beyond
             if math.isfinite(own * std[k]) and std[k] > 0:
                 part, moved = abs(float(along[k])) / (own * std[k]), abs(float(by_data[k])) * push / (alone**2 * std[k])
-            if part**2 >= RULES.by_data or moved >= 1.0:
-                way = int(side * np.sign(by_data[k] or c[k]))
+            way = int(side * np.sign(by_data[k] or c[k]))
+            if c[k] and (part**2 >= RULES.by_data or moved >= 1.0):
                 found[names[k]] = Hold(constraint.name, way, beyond, min(part, 1.0))
+            elif moved >= 1.0 and std[k] > 0 and math.isfinite(own * std[k]):
+                found.setdefault(names[k], Hold("", way, moved, 1.0, f"the constraint {constraint.name!r}"))
+    on = dict[int, int]()
     for k, name in enumerate(names):
         at = space[name].limit_at(values[name], float(std[k]), searched)
         if at is not None:
-            side = 1 if at == "upper" else -1
+            on[k] = side = 1 if at == "upper" else -1
             moved = side * float(finite[k] @ descent) / std[k] if 0 < std[k] < math.inf else 0.0
             found[name] = Hold("", side, max(moved, 0.0), 1.0)
+    pushed = {k: side for k, side in on.items() if side * descent[k] > 0}
+    moves = finite[:, list(pushed)] * descent[list(pushed)]  # of each parameter, without the limit of each of those
+    for k in np.flatnonzero(np.abs(moves.sum(axis=1)) >= std).tolist():
+        if names[k] not in found and std[k] > 0:
+            most = int(np.argmax(np.abs(moves[k])))
+            way, moved = int(np.sign(moves[k].sum())), float(abs(moves[k].sum()) / std[k])
+            found[names[k]] = Hold("", way, moved, 1.0, f"the limit of {names[list(pushed)[most]]}")
     return found
 
 

@@ -95,7 +95,8 @@ def parameter_verdicts(
         unknown.
         ``low, high`` is the interval of 95 %, of one side where a limit or constraint holds the parameter.
         ``not_identified`` holds the reasons of `calib.inference.identify.faults`, ``constraint`` for a parameter that a
-        constraint holds, ``solutions`` for one by which equally good solutions differ, and the doubts.
+        constraint holds, ``beside_limit`` for one beside what a limit or constraint holds, ``solutions`` for one by
+        which equally good solutions differ, and the doubts.
         A limit is suggested half a range further out; a limit of 0 is physical
         and stays.
     """
@@ -122,6 +123,8 @@ def parameter_verdicts(
         hold = (held_by or {}).get(p.name)
         if hold is not None and hold.by and not math.isnan(std):
             why, identified = (*why, "constraint"), False
+        elif hold is not None and hold.beside and not math.isnan(std):
+            why, identified = (*why, "beside_limit"), False
         if doubts and not math.isnan(std):
             why, identified = (*doubts, *why), False
         low, high = _interval(p, values[p.name], math.nan if p.integer else std, hold)
@@ -198,6 +201,8 @@ def _of_one_side(hold: Hold | None, low: float, high: float, unit: str) -> str:
     if hold is None or math.isnan(low):
         return ""
     scale = "" if unit == "-" else f" {unit}"
+    if hold.beside:
+        return f"{hold.beside}, which the fit is against, moves it by {hold.beyond:.2g} standard deviations"
     left = f"(95 %: {low:.4g} to {high:.4g}{scale})"
     return f"the constraint {hold.by!r} holds it {left}" if hold.by else f" {left}"
 
@@ -273,6 +278,7 @@ def _reasons(
         "prior": f"the data give {given} % of the information on it",
         "limit": f"a limit holds it{held}",
         "constraint": held,
+        "beside_limit": held,
         "solutions": f"solutions that fit equally well differ by {100 * (apart or 0.0):.0f} % of its search range",
     }
     return [words[reason] for reason in why]

@@ -1,6 +1,7 @@
 """What linear constraints tell of a fit: narrow ones count as data, wide ones may hold parameters as limits do."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -130,11 +131,29 @@ def test_a_constraint_holds_a_parameter_as_a_limit_does():
         assert not held["identified"] and held["not_identified"] == "constraint"
         assert held["std"] == pytest.approx(limit["std"], rel=0.02)  # of the data, not near 0
         assert held["high"] == pytest.approx(2.30) and held["low"] == pytest.approx(limit["low"], rel=2e-3)
-        assert "'cap'" in held["sentence"] and free["not_identified"] == ""
+        assert "'cap'" in held["sentence"] and free["not_identified"] == "beside_limit" and "'cap'" in free["sentence"]
         assert fit.statistics.identification.posterior.std.min() > 0.01
     free = beam().calibrate(**ROOM).parameters.loc["k"]
     assert free["value"] > 2.35 and free["identified"]
     assert free["high"] - free["value"] == pytest.approx(1.96 * free["std"])
+
+
+@pytest.mark.medium
+def test_a_limit_against_which_the_fit_is_holds_what_it_moves():
+    """The data say E = 222 ± 3.3; with k stopped at 2.30 it is 228, and the fit is still adequate."""
+    free, slightly, held = (beam(upper).calibrate(**ROOM) for upper in (5.0, 2.36, 2.30))
+    assert held.statistics.fits is True
+    by = {fit: fit.parameters.loc["E"] for fit in (free, slightly, held)}
+    one, moved = by[held], by[held]["value"] - by[free]["value"]
+    assert moved > 1.5 * one["std"] and one["std"] < one["needed"]
+    assert one["not_identified"] == "beside_limit" and "the limit of k" in one["sentence"]
+    told = float(re.search(r"moves it by ([\d.]+) standard", one["sentence"])[1])
+    assert told == pytest.approx(moved / one["std"], rel=0.1)
+    assert (one["low"], one["high"]) == pytest.approx(
+        (one["value"] - 1.96 * one["std"], one["value"] + 1.96 * one["std"])
+    )
+    # Moved by half a standard deviation only.
+    assert by[slightly]["identified"] and slightly.parameters.loc["k", "not_identified"] == "limit"
 
 
 def test_of_a_sum_that_is_held_the_parameter_that_the_data_know_is_identified():

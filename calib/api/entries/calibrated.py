@@ -28,6 +28,7 @@ _WHY = {
     "prior": "rests on the prior",
     "limit": "on its search limit",
     "constraint": "held by a constraint",
+    "beside_limit": "moved by a limit of others",
     "solutions": "differs between solutions",
 }
 """Why a parameter is not identified; see `calib.inference.verdicts.parameter_verdicts`."""
