@@ -106,6 +106,7 @@ def calibrated(
     ``compared`` compares a test before the calibration.
     """
     chosen: Method = run.method or study.settings.calibration.method
+    _require_one_test(study, chosen)
     cases, ledger, progress = chosen_cases(study, run.only), run.ledger, run.progress
     seconds = [confirmed(one, ledger) for one in study.studies]
     study = study.each(lambda one: recorded(one, ledger, run.workers))
@@ -167,16 +168,25 @@ def calibrate(
     chosen: Method = run.method or study.settings.calibration.method
     seeds = {case.name: case.seed for case in chosen_cases(study, run.only)}
     reduction = {"reduction": study.settings.reduction.seed}
-    used = chosen if len(study.studies) == 1 or chosen in ("auto", "genetic") else "gauss-newton"
     for one in study.studies:
         own, folder = answer.seen(one.test), own_folder[one.test]
-        write_calibration(one, folder, own, used, time.perf_counter() - started)
+        write_calibration(one, folder, own, chosen, time.perf_counter() - started)
         ran = {name: seed for name, seed in seeds.items() if name in own.names} | reduction
         write_record(one, folder, "calibrate", ran, own.sentences, run.quick, run.options, own.answer)
     if isinstance(answer, JointCalibration):
-        write_jointly(study, results, answer, used, time.perf_counter() - started)
+        write_jointly(study, results, answer, chosen, time.perf_counter() - started)
         write_record(study, results, "calibrate", seeds, answer.sentences, run.quick, run.options, answer.answer)
     return answer
+
+
+def _require_one_test(study: AnyStudy, method: Method) -> None:
+    """InputError for the cross-model equations of several tests: they are posed for the FRFs of one."""
+    if method == "cmcf" and len(study.studies) > 1:
+        raise InputError(
+            f"method 'cmcf' solves the cross-model equations of one FRF test; there are {len(study.studies)} tests",
+            place=study.place("calibration", "method"),
+            remedy="choose 'gauss-newton', which starts from the solutions for each test, or calibrate one test alone",
+        )
 
 
 def _varying(study: AnyStudy, problem: FitProblem) -> tuple[str, ...]:
