@@ -100,7 +100,7 @@ def draw(
                 place = one.folder.path
                 figures = one.results.figures.save(formats, step, width)
                 one.folder.remove(*_replaced(place, figures, everything=bool(one.stale.files)))
-                listener.drawn(one.study, figures, written if one is whole else None)
+                listener.drawn(one.study, figures, written if one is whole else None, one.results.figures.too_wide)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",

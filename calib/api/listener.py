@@ -115,8 +115,8 @@ class Listener:
         for sentence in notes:
             warnings.warn(f"{sentence}.", stacklevel=2)
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None) -> None:
-        """Figures, and the report where there is one, were made."""
+    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None, too_wide: Sequence[str] = ()) -> None:
+        """Figures, and the report where there is one, were made; some ``too_wide`` for a column."""
 
     def requested(self, figures: Sequence[Path]) -> None:
         """Figures that the user named were drawn."""

@@ -199,7 +199,10 @@ class _Printing(Listener):
         if self.verb not in _WITH_PAGE and not study.test:
             self.print_collected()  # nobody waits for figures to read the answer
 
-    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None) -> None:
+    def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None, too_wide: Sequence[str] = ()) -> None:
+        if too_wide:
+            words = f"As wide as a page, since they are not legible in a column: {', '.join(too_wide)}"
+            self._add(Words(f"{words}.", when="always"))
         if figures:
             self._add(Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures))
         if page is not None:

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from calib.report.comparison import LEAST_MAC_ERROR
 from calib.report.numbers import flag, short, significant, with_unit
 from calib.report.parameters import position
-from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain
+from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain, plain_ticks
 from calib.report.svg import hover
 
 _BESIDE_VALUES = 38.0
@@ -199,6 +199,7 @@ def ends_figure(table: pd.DataFrame) -> Figure:
             legend_above(ax, _ends_legend(table, cases))
         else:
             ax.set_yscale("log")
+            plain_ticks(ax.yaxis)
     return figure
 
 
@@ -257,6 +258,7 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ax.plot([], [], "--", color=GREY, linewidth=0.9, label="mean of the generation")
     if finite.notna().to_numpy().any() and not (finite <= 0.0).to_numpy().any():
         ax.set_yscale("log")
+        plain_ticks(ax.yaxis)
     ax.grid(which="both")
     ax.margins(x=0.02)
     ax.set_xlabel("generation")

@@ -114,7 +114,7 @@ def draw_mac(
     """
     ax = style.own_axes(ax, 2.6)
     series = by_stage({"before": before, "after": after, "added": added})
-    width = 0.8 / len(series)
+    width = 0.9 / len(series)  # labels of the stages of a mode do not touch
     modes = list(next(iter(series.values())).index)
     for k, (stage, table) in enumerate(series.items()):
         mac = table["mac"].astype(float)
@@ -127,7 +127,7 @@ def draw_mac(
         for place, height, value in zip(x, heights, mac, strict=True):
             if math.isnan(value):
                 _not_paired(ax, place, ax.get_xaxis_transform())
-            elif len(modes) * len(series) <= _MOST_MACS:
+            elif len(modes) * len(series) <= style.room(_MOST_MACS):
                 is_high = height > _HIGH
                 ax.annotate(
                     f"{value:.3f}", (place, height), xytext=(0, -6 if is_high else 6), textcoords="offset points",
@@ -296,7 +296,7 @@ def _bars(
         bars = ax.bar(x, heights, width * 0.94, label=labels[name], **_LOOKS[name])
         for bar, (mode, height) in zip(bars, series.items(), strict=True):
             hover(bar, f"{mode}, {stage_words[name]}: {words(height)}")
-        if len(series) * len(values) <= _MOST_VALUES:
+        if len(series) * len(values) <= style.room(_MOST_VALUES):
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
             ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=_ROOM)
         for position in x[missing]:
@@ -323,7 +323,7 @@ def _signed(value: float, number: str) -> str:
 def _crowded(ax: Axes, labels: list[str]) -> None:
     """Turn the labels under the bars upright where they would touch."""
     longest = max(len(line) for label in labels for line in label.split("\n"))
-    if (longest + 2) * len(labels) > _LABEL_ROOM:
+    if (longest + 2) * len(labels) > style.room(_LABEL_ROOM):
         ax.tick_params(axis="x", rotation=90)
 
 

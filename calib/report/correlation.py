@@ -21,6 +21,8 @@ INDUCED = 0.25
 MOST_IN_MATRIX = 8
 """Parameters up to which the posterior correlation of every pair is shown."""
 _MOST_BARS = 20
+_INSIDE = 0.7
+"""Absolute correlation above which a bar has its value inside: beside it, it may cover the name of the pair."""
 
 
 def correlated_pairs(table: pd.DataFrame) -> pd.DataFrame:
@@ -108,9 +110,11 @@ def draw_correlation(
     bars = ax.barh(at, values, 0.68, color=[VERMILLION if v > 0 else BLUE for v in values])
     for row, (bar, name, value) in enumerate(zip(bars, names, values, strict=True)):
         hover(bar, f"{name}: {fixed(value, 2)}")
-        side = 1 if value > 0 else -1
+        inside = abs(value) > _INSIDE
+        side = (1 if value > 0 else -1) * (-1 if inside else 1)
         ax.annotate(fixed(value, 2, sign=True), (value, row), xytext=(4 * side, 0), textcoords="offset points",
-                    va="center", ha="left" if value > 0 else "right", fontsize=8)  # fmt: skip
+                    va="center", ha="left" if side > 0 else "right", fontsize=8,
+                    color="white" if inside else BLACK)  # fmt: skip
     ax.axvline(0.0, color=BLACK, linewidth=0.8)
     ax.set_yticks(at, names)
     ax.tick_params(axis="y", length=0)

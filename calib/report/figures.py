@@ -30,6 +30,7 @@ from calib.report.style import (
     add_heading,
     content,
     key_of,
+    picture_width,
     style,
     take_dollars_literally,
     write,
@@ -65,6 +66,8 @@ class RenderedFigure:
 
     svg: str
     files: Mapping[Format, bytes]
+    narrow: bool = False
+    """Whether the files are as wide as a column."""
 
 
 class Figures:
@@ -93,6 +96,8 @@ class Figures:
         self._figures: dict[str, Figure] = {}
         self._rendered: Mapping[str, RenderedFigure] = {}
         self._render_all: Callable[[], Mapping[str, RenderedFigure]] | None = None
+        self.too_wide: tuple[str, ...] = ()
+        """Figures of the last `save` that are as wide as a page since they are not legible in a column."""
 
     @cached_property
     def plan(self) -> dict[str, Drawing]:
@@ -127,7 +132,7 @@ class Figures:
     def render(self, name: str, request: FigureRequest) -> RenderedFigure:
         """Make one figure for page and files, without writing it; see `save` for what is raised."""
         svg = self.svg(name) if name in request.page else ""
-        return RenderedFigure(svg, self._content(self.plan[name], request.formats, request.width))
+        return RenderedFigure(svg, *self._content(self.plan[name], request.formats, request.width))
 
     def take(self, rendered: Callable[[], Mapping[str, RenderedFigure]]) -> None:
         """Use figures made elsewhere, for pages and files of what was asked for; all are made once one is needed."""
@@ -164,11 +169,14 @@ class Figures:
             The folder is missing, or a table is damaged; nothing is written then.
         """
         written: list[Path] = []
+        wide: list[str] = []
         for number, (name, drawing) in enumerate(self.plan.items()):
             progress("drawing figures", number, len(self.plan))
             known = self._taken(name)
-            files = known.files if known else self._content(drawing, formats, width)
-            written += write(files, self.folder.folder / name) or [self._picture(name)]
+            made = known or RenderedFigure("", *self._content(drawing, formats, width))
+            written += write(made.files, self.folder.folder / name) or [self._picture(name)]
+            wide += [name] if width == "column" and not made.narrow else []
+        self.too_wide = tuple(wide)
         return written
 
     def _picture(self, name: str) -> Path:
@@ -181,15 +189,15 @@ class Figures:
         parts = (own, self.title, drawing.caption, self.synthetic, width, self.axes, _drawn_by())
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
-    def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> dict[Format, bytes]:
-        """Files of a drawing; none where its PNG, the only one asked for, is there and shows the same."""
+    def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> tuple[dict[Format, bytes], bool]:
+        """Files of a drawing, and whether they are narrow; none where the only one, a PNG, is there already."""
         path, key = self._picture(drawing.name), self._key(drawing, width)
         if key and tuple(formats) == ("png",) and key_of(path) == key and is_own(path):
-            return {}
+            return {}, picture_width(path) == COLUMN
         narrow = self._narrow(drawing) if width == "column" else None
         with style(), upright(self.axes):
             figure = narrow or self._headed(self._page_wide(drawing), drawing.caption)
-            return content(figure, drawing.name, formats, key)
+            return content(figure, drawing.name, formats, key), narrow is not None
 
     def _page_wide(self, drawing: Drawing) -> Figure:
         """The figure of the page where it is drawn already."""
@@ -263,8 +271,8 @@ def _is_visible(text: Text) -> bool:
 
 
 def _groups(ax: Axes) -> list[list[Text]]:
-    """Texts of a panel that must not cover each other: labels of either axis, and those written into it."""
-    groups = [_ticks(ax.xaxis, True), _ticks(ax.yaxis, True), list(ax.texts)]
+    """Texts of a panel that must not cover each other: labels of either axis with those written into it."""
+    groups = [[*_ticks(axis, True), *ax.texts] for axis in (ax.xaxis, ax.yaxis)]
     return [[text for text in group if _is_visible(text)] for group in groups]
 
 

@@ -84,7 +84,8 @@ def draw_parameters(
         unit, width = str(value["unit"]), std[row]
         text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
         text = with_unit(value["value"], unit) if math.isnan(width) else text
-        ax.text(1.05, row, text, va="center", fontsize=8, color=GREY if known[row] is False else BLACK)
+        colour = GREY if known[row] is False else BLACK
+        ax.annotate(text, (1.03, row), (9, 0), textcoords="offset points", va="center", fontsize=8, color=colour)
         words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its search range")
         if row:
             ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)

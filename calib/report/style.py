@@ -21,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
+from matplotlib.ticker import LogFormatter
 from PIL import Image
 
 from calib.report.svg import svg_text, without_hover
@@ -124,6 +125,11 @@ def new_figure(height: float) -> Figure:
     return Figure(figsize=(_width.get(), height), dpi=DPI, layout="constrained")
 
 
+def room(count: float) -> float:
+    """How many of what a page has room for side by side fit into the width that `style` says."""
+    return count * _width.get() / WIDTH
+
+
 def new_panels(count: int, height: float, beside: float) -> tuple[Figure, np.ndarray]:
     """Return an empty figure of equal panels, at most four abreast, and the panels (n_down, n_across).
 
@@ -144,12 +150,24 @@ def own_axes(ax: Axes | None, height: float) -> Axes:
     return new_figure(height).add_subplot() if ax is None else ax
 
 
+def plain_ticks(axis: Axis) -> None:
+    """Label a logarithmic axis of few decades with plain numbers, such as 0.02, not 2 × 10⁻²."""
+    axis.set_major_formatter(_PlainNumbers(labelOnlyBase=True))
+    axis.set_minor_formatter(_PlainNumbers(labelOnlyBase=False))
+
+
+class _PlainNumbers(LogFormatter):
+    """The ticks that Matplotlib would label, with plain numbers."""
+
+    def __call__(self, x: float, pos: int | None = None) -> str:
+        return f"{x:.3g}" if super().__call__(x, pos) else ""
+
+
 def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
     """Put the legend above the Axes, left-aligned, in as many columns as its labels allow."""
     shown = ax.get_legend_handles_labels()[0] if handles is None else handles
     longest = max((len(str(h.get_label())) for h in shown), default=1)
-    room = 105 * _width.get() / WIDTH
-    columns = max(1, min(len(shown), int(room / (longest + 9))))
+    columns = max(1, min(len(shown), int(room(105) / (longest + 9))))
     ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
 
 
@@ -271,6 +289,12 @@ def key_of(path: Path) -> str:
             return str(picture.info.get(_KEY, ""))
     except (OSError, ValueError, SyntaxError):
         return ""
+
+
+def picture_width(path: Path) -> float:
+    """Width in inches of a PNG that `content` made: that of a page or of a column."""
+    with Image.open(path) as picture:
+        return min((WIDTH, COLUMN), key=lambda width: abs(width * DPI - picture.width))
 
 
 def take_dollars_literally(figure: Figure) -> None:

@@ -68,6 +68,14 @@ def test_the_answer_waits_for_no_figure(tmp_path, capsys, verb, test, before):
         assert (drawing.count(words), after.count(words)) == (before, 1 - before)
 
 
+def test_figures_that_a_column_has_no_room_for_are_told(tmp_path, capsys):
+    study = SimpleNamespace(test="")
+    with printing("report") as listener:
+        listener.drawn(study, [tmp_path / "mac.png"], None)
+        listener.drawn(study, [tmp_path / "mac.png"], None, ["mac", "model"])
+    assert capsys.readouterr().out.count("not legible in a column: mac, model.") == 1
+
+
 LABELS = ["Found:", "How sure:", "Next:", "Results:"]
 
 

@@ -73,3 +73,16 @@ def test_a_picture_that_is_gone_or_was_edited_is_drawn(folder, drawn):
     assert drawn() == {"convergence"}
     (folder / "convergence.png").write_bytes(b"no picture")
     assert drawn() == {"convergence"}
+
+
+@pytest.mark.slow
+def test_a_picture_too_wide_for_a_column_is_told_again_where_it_is_not_drawn_again(folder, drawn):
+    figures = Figures(folder, "Mast", True)
+    figures.save(width="column")
+    assert set() < set(figures.too_wide) < set(figures.plan)
+    assert drawn(width="column") == set()
+    again = Figures(folder, "Mast", True)
+    again.save(width="column")
+    assert again.too_wide == figures.too_wide
+    again.save()
+    assert again.too_wide == ()

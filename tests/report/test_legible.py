@@ -1,7 +1,7 @@
 import pytest
 
 from calib.report.figures import is_legible, wrap_labels
-from calib.report.style import COLUMN, WIDTH, new_figure, style
+from calib.report.style import COLUMN, WIDTH, new_figure, plain_ticks, style
 
 
 def panel(width, draw):
@@ -34,6 +34,31 @@ def test_ticks_beyond_the_limits_are_not_drawn_and_need_no_room():
         ax.set_xticks([0, 5, 10, 40])
 
     assert is_legible(panel(COLUMN, draw))
+
+
+def test_a_value_over_the_name_of_its_row_is_not_legible():
+    def draw(at):
+        def of(ax):
+            ax.set(xlim=(0, 1), ylim=(0, 1))
+            ax.set_yticks([0.5], ["a name"])
+            ax.text(at, 0.5, "0.85", ha="right", va="center")
+
+        return is_legible(panel(WIDTH, of))
+
+    assert draw(0.2) and not draw(-0.02)
+
+
+def test_a_logarithmic_axis_of_few_decades_has_plain_numbers():
+    def draw(ax):
+        ax.set_yscale("log")
+        ax.set_ylim(0.004, 0.03)
+        plain_ticks(ax.yaxis)
+
+    figure = panel(WIDTH, draw)
+    figure.draw_without_rendering()
+    axis = figure.axes[0].yaxis
+    labels = [t.get_text() for t in (*axis.get_majorticklabels(), *axis.get_minorticklabels()) if t.get_text()]
+    assert {"0.01", "0.02"} < set(labels) and all(0.0 < float(label) < 1.0 for label in labels)
 
 
 def test_a_long_label_is_broken():
