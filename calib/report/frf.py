@@ -178,7 +178,7 @@ def draw_frf_lines(lines: Tables, ax: Axes | None = None, *, effects: str = "") 
         ax.plot(shown["freq"], shown["in_std"], **look)
     ax.axhline(1.0, color=style.GREY, linestyle="--", linewidth=1.0)
     ax.set_yscale("symlog", linthresh=_LINEAR_BELOW)
-    ax.set_ylim(bottom=0.0)
+    ax.set_ylim(0.0, ax.get_ylim()[1] * 1.3)  # marks of the largest errors are whole
     ax.yaxis.set_major_formatter("{x:g}")
     ax.set_xlabel("frequency (Hz)")
     ax.set_ylabel(f"rms error (standard deviations;\nlinear up to {_LINEAR_BELOW:g})")

@@ -23,7 +23,9 @@ _LOOKS = {
 _MOST_VALUES = 30
 """Bars that still have their values beside them."""
 _MOST_UPRIGHT = 6
-"""Responses whose names still stand level below the axis."""
+"""Responses whose bars stand side by side, their names level below; more lie one below the other."""
+_HIGHEST = 9.0
+"""Height of the figure of very many responses, in inches."""
 
 
 def draw_responses(
@@ -49,13 +51,14 @@ def draw_responses(
     -------
     Axes
         Bars in standard deviations where any are known, otherwise in percent of the response. Beside each bar stand the
-        model's value and its error in percent, below the name what was measured, where there is room for them.
+        model's value and its error in percent, beside the name what was measured, where there is room for them. Bars of
+        more than six responses lie.
     """
     stages = {"before": before, "after": after, "added": added}
     tables = {stage: table.set_index("response") for stage, table in stages.items() if table is not None}
     in_std = any(table["error_in_std"].notna().any() for table in tables.values())
     column, factor = ("error_in_std", 1.0) if in_std else ("error", 100.0)
-    label = "error (standard deviations)" if in_std else "error (%)"
+    label = "error, model − measured " + ("(standard deviations)" if in_std else "(%)")
     bars = {stage_words(stage, effects): (stage, factor * table[column]) for stage, table in tables.items()}
     ax = _bars(bars, label, ax)
     values = {stage_words(stage, effects): table for stage, table in tables.items()}
@@ -65,8 +68,8 @@ def draw_responses(
 
 
 def _write_values(ax: Axes, tables: Mapping[str, pd.DataFrame]) -> None:
-    """Write model value and error in percent beside every bar, and the measured value below the name."""
-    names = [label.get_text() for label in ax.get_xticklabels()]
+    """Write model value and error in percent beside every bar, and the measured value beside the name."""
+    names = list(dict.fromkeys(name for table in tables.values() for name in table.index))
     level = len(names) <= _MOST_UPRIGHT
     apart = "\n" if level else ", "
     for bars, table in zip(ax.containers, tables.values(), strict=True):
@@ -75,11 +78,14 @@ def _write_values(ax: Axes, tables: Mapping[str, pd.DataFrame]) -> None:
             "" if pd.isna(value) else f"{significant(value)}{apart}{percent(error, 1, sign=True)} %"
             for value, error in zip(known["model"], known["error"], strict=True)
         ]
-        ax.bar_label(cast(BarContainer, bars), texts, fontsize=6.5, padding=3, rotation=0 if level else 90)
+        ax.bar_label(cast(BarContainer, bars), texts, fontsize=6.5, padding=3)
     measured = pd.concat([table["measured"] for table in tables.values()]).groupby(level=0, sort=False).first()
     shown = [f"{name}{apart}measured {significant(measured[name])}" for name in names]
-    ax.set_xticks(range(len(names)), shown, rotation=0 if level else 90)
-    ax.margins(y=0.16 if level else 0.4)
+    (ax.set_xticks if level else ax.set_yticks)(range(len(names)), shown)
+    if level:
+        ax.margins(y=0.16)
+    else:
+        ax.margins(x=0.3)
 
 
 def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
@@ -103,21 +109,28 @@ def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: s
 
 
 def _bars(series: dict[str, tuple[str, pd.Series]], label: str, ax: Axes | None) -> Axes:
-    """Bars of each series beside each other; NaN has no bar."""
+    """Bars of each series beside each other, of many responses one below the other; NaN has no bar."""
     names = list(dict.fromkeys(name for _, values in series.values() for name in values.index))
     level = len(names) <= _MOST_UPRIGHT
-    ax = own_axes(ax, 3.0 if level else 3.8)
+    below = (0.12 + 0.13 * len(series)) * len(names)
+    ax = own_axes(ax, 3.0 if level else float(np.clip(1.0 + below, 3.0, _HIGHEST)))
     width = 0.8 / max(len(series), 1)
     for k, (words, (look, values)) in enumerate(series.items()):
         own = values.reindex(names)
         at = np.arange(len(names)) + (k - (len(series) - 1) / 2) * width
-        for bar, (name, value) in zip(ax.bar(at, own, width, label=words, **_LOOKS[look]), own.items(), strict=True):
+        bars = (ax.bar if level else ax.barh)(at, own, width, label=words, **_LOOKS[look])
+        for bar, (name, value) in zip(bars, own.items(), strict=True):
             hover(bar, f"{name}, {words}: {plain(value)}")
-    ax.axhline(0.0, color=BLACK, linewidth=0.8)
-    ax.set_xticks(range(len(names)), names, rotation=0 if level else 90)
-    ax.set_xlim(-0.6, max(len(names), 1) - 0.4)
-    ax.set_ylabel(label)
-    ax.grid(axis="y")
-    ax.tick_params(axis="x", length=0)
+    ends = (-0.6, max(len(names), 1) - 0.4)
+    if level:
+        ax.axhline(0.0, color=BLACK, linewidth=0.8)
+        ax.set_xticks(range(len(names)), names)
+        ax.set(xlim=ends, ylabel=label)
+    else:
+        ax.axvline(0.0, color=BLACK, linewidth=0.8)
+        ax.set_yticks(range(len(names)), names)
+        ax.set(ylim=ends[::-1], xlabel=label)
+    ax.grid(axis="y" if level else "x")
+    ax.tick_params(axis="x" if level else "y", length=0)
     legend_above(ax)
     return ax

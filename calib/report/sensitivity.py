@@ -77,7 +77,7 @@ def draw_sensitivity(
     if partial is not None:
         own = partial.set_index("parameter").reindex(table["parameter"]).reindex(columns=responses)
         lent = own.to_numpy(dtype=float) * np.sign(values) <= 0.5 * threshold
-    size = 8.0 if columns <= 12 else max(4.5, 8.0 * 13.5 / columns)
+    size = float(np.clip(8.0 * 13.0 / columns, 4.5, 8.0))
     for i, j in np.argwhere(np.isfinite(shown)):
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"
         text = f"{shown[i, j]:.2f}".replace("-", "−")

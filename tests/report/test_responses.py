@@ -4,7 +4,9 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.report.figures import is_legible
 from calib.report.responses import draw_responses
+from calib.report.style import style
 
 
 def table(names, error, std=0.02):
@@ -31,7 +33,21 @@ def test_many_responses_keep_their_names_and_of_very_many_no_value_is_written(co
     names = [f"r{k}" for k in range(count)]
     ax = draw_responses(table(names, np.full(count, 0.01)), added=table(names[:-1], np.full(count - 1, 0.0)))
     ax.figure.draw_without_rendering()
-    labels = [label.get_text() for label in ax.get_xticklabels()]
+    labels = [label.get_text() for label in ax.get_yticklabels()]
     assert len(labels) == count and all(a.startswith(b) for a, b in zip(labels, names, strict=True))
     written = [text.get_text() for text in ax.texts if text.get_text()]
     assert len(written) == (2 * count - 1 if 2 * count - 1 <= 30 else 0)
+
+
+def test_values_and_names_of_many_responses_stand_clear_of_axes_legend_and_each_other():
+    names = [f"response_{k}" for k in range(11)]
+    error = np.array([-0.09, 0.48, *np.full(9, 0.002)])
+    with style():
+        ax = draw_responses(table(names, error), table(names, error / 30))
+        ax.figure.draw_without_rendering()
+        assert is_legible(ax.figure)
+    whole = ax.get_window_extent()
+    boxes = [text.get_window_extent() for text in ax.texts]
+    assert len(boxes) == 22 and all(whole.x0 < box.x0 and box.x1 < whole.x1 for box in boxes)
+    widths = [bar.get_width() for bar in ax.containers[0]]
+    np.testing.assert_allclose(widths, error / 0.02, rtol=1e-9)
