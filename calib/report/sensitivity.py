@@ -166,7 +166,9 @@ def draw_selection(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
 
 
 def _name_groups(ax: Axes, kinds: list[str]) -> None:
-    """Write the kind of response above each group of columns and draw a line between the groups."""
+    """Write the kind of response above each group of columns, where they are known, and a line between the groups."""
+    if set(kinds) == {_OTHER}:
+        return
     above = blended_transform_factory(ax.transData, ax.transAxes)
     start = 0
     for kind, members in groupby(kinds):
@@ -186,9 +188,13 @@ def _name_groups(ax: Axes, kinds: list[str]) -> None:
         start = end
 
 
+_OTHER = "other"
+"""Group of responses of no known kind."""
+
+
 def _kind(response: str) -> tuple[str, str]:
     """Group and mode of a response."""
     for beginning, kind in RESPONSE_KINDS.items():
         if response.startswith(beginning):
             return kind, response.removeprefix(beginning)
-    return "other", response
+    return _OTHER, response

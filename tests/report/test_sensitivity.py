@@ -38,6 +38,8 @@ def test_a_response_of_unknown_kind_keeps_its_name(sensitivity):
     ax = draw_sensitivity(sensitivity.rename(columns={"mac_1BT": "camber"}))
     assert [t.get_text() for t in ax.get_xticklabels()] == ["1BT", "2BT", "camber"]
     assert "other" in {t.get_text() for t in ax.texts}
+    alone = draw_sensitivity(sensitivity[["parameter", "mac_1BT"]].rename(columns={"mac_1BT": "camber"}))
+    assert set(cells(alone)) and "other" not in {t.get_text() for t in alone.texts}
 
 
 def test_a_response_without_a_value_is_explained_in_the_axis_label(sensitivity):
