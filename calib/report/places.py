@@ -257,8 +257,13 @@ def _words(table: pd.DataFrame) -> list[str]:
 
 
 def _numbers(table: pd.DataFrame, keys: Mapping[str, int]) -> dict[int, int | str]:
-    """Row of each place to number, and what to write there."""
+    """Row of each place to number, and what to write there; pieces of one form at one place have one label."""
     rows = np.flatnonzero(table["parameters"].ne("") & ~table.duplicated([*scene.PLACE, "parameters"]))
     if len(rows) > _MOST_NUMBERS:
         rows = rows[~table.iloc[rows].duplicated(["form", "parameters"]).to_numpy()]
-    return {k: "+".join(map(str, sorted(keys[n] for n in _names(table["parameters"].iloc[k])))) for k in rows.tolist()}
+    some = table.iloc[rows].assign(row=rows)
+    out = dict[int, int | str]()
+    for _, alike in some.groupby(["form", *scene.PLACE], sort=False):
+        numbers = {keys[name] for cell in alike["parameters"] for name in _names(cell)}
+        out[int(alike["row"].iloc[0])] = "+".join(map(str, sorted(numbers)))
+    return out

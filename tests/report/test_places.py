@@ -65,6 +65,12 @@ def test_a_number_stands_once_at_every_place_of_a_parameter(mesh, table):
     assert sorted(numbers) == ["1", "1", "1+3", "2"]
 
 
+def test_pieces_of_one_form_at_one_place_have_one_label(mesh, table):
+    again = table[table["name"] == "bar"].assign(name="bar, stiffness", kind="stiffness", parameters="E_bar")
+    numbers = [t.get_text() for t in draw_places(mesh, pd.concat([table, again])).texts if t.get_text()]
+    assert sorted(numbers) == ["1", "1", "1+3+4", "2"]
+
+
 def test_names_appear_under_the_mouse_together_at_one_place(mesh, table):
     order = {}
     for line in draw_places(mesh, table).lines:
