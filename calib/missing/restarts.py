@@ -39,7 +39,8 @@ def restarted(
     resonances may be off by more than their width, so that no first-order prediction tells which effect is promising.
     Starts are ranked by the sum of squares left after a first-order update of the parameters. The most promising ones
     are fitted, and integer parameters are chosen again for the best fit. A fit replaces an earlier one of the same
-    effect only if its sum of squares is smaller.
+    effect only if its sum of squares is smaller. Where all of them leave a multiple of the rows, every start is trapped
+    or the effect is not listed: the further starts are then fitted too, within a budget of their own, until one is not.
     """
     fits.announce("fitting from the nominal values too")
     own = replace(fits, settings=replace(fits.settings, budget=RULES.anew * fits.settings.budget))
@@ -48,20 +49,38 @@ def restarted(
         starts = _starts(own, effects)
     except EvaluationError:
         return list(singles)
-    tried: Counter[str] = Counter()
-    for _, name, start in starts:
-        if own.spent():
-            break
-        if tried[name] < RULES.starts_anew:
-            tried[name] += 1
-            refit = own.best_of((name,), [start], base)
-            if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
-                best[name] = refit
+    tried, kept = Counter[str](), list[_Start]()
+    for start in starts:
+        if own.spent() or tried[start[1]] >= RULES.starts_anew:
+            kept.append(start)
+        else:
+            tried[start[1]] += 1
+            _fitted(own, base, start, best)
+    kept = [start for start in kept if start[2][start[1]] != 0]  # the base model, from the nominal values
+    if kept and _trapped(best):
+        further = replace(fits, settings=replace(fits.settings, budget=RULES.further * fits.settings.budget))
+        for start in kept:
+            if further.spent() or not _trapped(best):
+                break
+            _fitted(further, base, start, best)
     first = max(best.values(), key=lambda t: t.ln_evidence)
     if not any(first is t for t in singles):
         first = own.followed(first, whole=2)
         best[first.names[0]] = own.moved(first) or first
     return sorted(best.values(), key=lambda t: (-t.ln_evidence, t.names))
+
+
+def _fitted(fits: Refits, base: CandidateFit, start: _Start, best: dict[str, CandidateFit]) -> None:
+    """Fit an effect from a start; the fit replaces an earlier one where its sum of squares is smaller."""
+    _, name, values = start
+    refit = fits.best_of((name,), [values], base)
+    if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
+        best[name] = refit
+
+
+def _trapped(best: Mapping[str, CandidateFit]) -> bool:
+    """Whether every fit leaves far more than errors of the size that is stated."""
+    return all(t.fit.misfit > RULES.trapped * len(t.fit.residual) for t in best.values())
 
 
 def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[CandidateFit]) -> tuple[CandidateFit, ...]:

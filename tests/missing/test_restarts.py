@@ -1,5 +1,6 @@
 """A large effect is found although it has led the base fit into another valley."""
 
+import math
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -132,3 +133,27 @@ def test_every_effect_is_started_from_its_linear_solution(toy):
     told = list[tuple[object, ...]]()
     restarts._starts(Refits(solved, decision.DEFAULT, 1.0, lambda *stage: told.append(stage)), solved.effects)
     assert len(told) > len(solved.effects)  # of hundreds, each may take a while
+
+
+@pytest.mark.parametrize("trapped", [RULES.trapped, math.inf])
+def test_further_starts_follow_while_every_fit_is_trapped(toy, trapped, monkeypatch):
+    """The third start of E0 leads to it; after it no more are fitted, and none where what is left is no multiple."""
+    one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
+    fits, sizes, asked = Refits(one, decision.DEFAULT, 1.0, silent), (0.1, 0.0, 0.2, 0.0, 1.0, 3.0), list[float]()
+    base, rows, best_of = fits.candidate_fit((), one.base.values), len(one.rows), Refits.best_of
+    assert base.fit.misfit > 1.5 * RULES.trapped * rows
+
+    def trapped_below(self, names, starts, parent):
+        asked.append(starts[0]["E0"])
+        return best_of(self, names, starts, parent) if asked[-1] >= 1.0 else self.grown(names, parent)
+
+    starts = [(float(k), "E0", {**one.base.values, "E0": size}) for k, size in enumerate(sizes)]
+    monkeypatch.setattr(restarts, "_starts", lambda fits, effects: starts)
+    monkeypatch.setattr(Refits, "best_of", trapped_below)
+    monkeypatch.setattr(restarts, "RULES", replace(RULES, trapped=trapped))
+    (found,) = restarts.restarted(fits, base, [fits.grown(("E0",), base)], one.effects)
+    within = found.fit.misfit < 1.5 * rows
+    if trapped == math.inf:
+        assert asked == [0.1, 0.0] and not within
+    else:
+        assert asked == [0.1, 0.0, 0.2, 1.0] and within  # 0 is the base model again
