@@ -34,7 +34,6 @@ from rates_world import World, digest_of
 
 import calib
 from calib.errors.errors import InputError
-from calib.inference.rules import WIDE
 from calib.structure.model import StructuralModel
 
 HELD = ("k_ground", "c_ground")
@@ -98,6 +97,7 @@ def run(number: int) -> dict[str, Any]:
             return out | {"failed": str(fault)}
         out[way] = {
             name: {"true": round(values[name], 5), "value": float(row["value"]), "std": float(row["std"]),
+                   "low": float(row["low"]), "high": float(row["high"]), "on_limit": bool(row["on_limit"]),
                    "identified": bool(row["identified"])}
             for name, row in fit.parameters.iterrows()
         }  # fmt: skip
@@ -106,8 +106,8 @@ def run(number: int) -> dict[str, Any]:
 
 
 def holds(one: Mapping[str, Any]) -> bool:
-    """Whether the 95 % interval holds the truth."""
-    return bool(abs(one["true"] - one["value"]) <= WIDE * one["std"])
+    """Whether the 95 % interval holds the truth: of one side for a parameter on its search limit."""
+    return bool(one["low"] <= one["true"] <= one["high"])
 
 
 def report(rows: Sequence[Mapping[str, Any]]) -> None:
@@ -120,6 +120,9 @@ def report(rows: Sequence[Mapping[str, Any]]) -> None:
         print(f"{way}: the model fits in {sum(row[f'{way}_fits'] is not False for row in own)} of {len(own)}")
         told("every parameter", (one for _, one in every))
         told("identified", (one for _, one in every if one["identified"]))
+        beside = [row[way] for row in own if any(one["on_limit"] for one in row[way].values())]
+        told("beside a limit", (one for row in beside for one in row.values() if not one["on_limit"]))
+        told("on a limit", (one for _, one in every if one["on_limit"]))
         for name in FITTED:
             told(name, (one for which, one in every if which == name))
 
