@@ -35,6 +35,8 @@ _LABEL_ROOM = 105
 """Characters that fit side by side under the bars."""
 _MOST_VALUES = 24
 """Bars that still have their values written above them."""
+_MANY_MACS = 14
+"""Marks from which those of a mode stand further apart, so that their labels do not touch."""
 _MOST_MACS = 18
 """Marks that still have their MAC, of three digits, beside them."""
 
@@ -114,8 +116,8 @@ def draw_mac(
     """
     ax = style.own_axes(ax, 2.6)
     series = by_stage({"before": before, "after": after, "added": added})
-    width = 0.9 / len(series)  # labels of the stages of a mode do not touch
     modes = list(next(iter(series.values())).index)
+    width = (0.9 if len(modes) * len(series) > style.room(_MANY_MACS) else 0.8) / len(series)
     for k, (stage, table) in enumerate(series.items()):
         mac = table["mac"].astype(float)
         words, (mark, colour) = style.stage_words(stage, effects), MARKS[stage]

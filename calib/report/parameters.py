@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import fixed, significant, with_unit
-from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, legend_above, own_axes
+from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, legend_above, own_axes, room
 from calib.report.svg import hover, hover_points
 
 _PRIOR = "#E8E8E8"
@@ -79,13 +79,13 @@ def draw_parameters(
     bound = np.array([_flag(value) is True for value in best["on_limit"]])
     edge = np.where(place[bound] > 0.5, 1.02, -0.02)
     ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_limit", clip_on=False, zorder=5)
-    words = []
+    words, beside = [], 1.02 + 0.03 / room(1.0)  # clear of the marks at the limits
     for row, (name, value) in enumerate(best.iterrows()):
         unit, width = str(value["unit"]), std[row]
         text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
         text = with_unit(value["value"], unit) if math.isnan(width) else text
         colour = GREY if known[row] is False else BLACK
-        ax.annotate(text, (1.03, row), (9, 0), textcoords="offset points", va="center", fontsize=8, color=colour)
+        ax.text(beside, row, text, va="center", fontsize=8, color=colour)
         words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its search range")
         if row:
             ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
