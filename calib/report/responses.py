@@ -105,7 +105,7 @@ def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: s
         for stage, look in looks.items()
         if (table["stage"] == stage).any()
     }
-    return _bars(bars, "residual (standard deviations)", ax)
+    return _bars(bars, "residual, test − model (standard deviations)", ax)
 
 
 def _bars(series: dict[str, tuple[str, pd.Series]], label: str, ax: Axes | None) -> Axes:
