@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,6 +13,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from calib.analyses.calibrate import CalibrationRun, calibrated
 from calib.analyses.case import objective_of
 from calib.analyses.every_mode import all_stages, every_mode
 from calib.command import cli
@@ -22,6 +24,7 @@ from calib.measurement.mac import mac
 from calib.problem.sampling import sample
 from calib.results.ledger import Ledger
 from calib.structure.reduction.training import train_basis
+from calib.study.loading import module_of
 from calib.study.study import LoadedStudy
 from models.railway import vehicle
 from models.railway.parameters import BOGIE, CAR
@@ -279,6 +282,26 @@ def test_the_study_runs_whole_in_quick_mode_after_its_first_phase(quick):
     modes = pd.read_csv(root / "vehicle/quick/modes.csv").set_index("mode")
     assert list(modes.index) == list(TRUTH["natural_freq"])
     assert len(pd.read_csv(root / "vehicle/quick/sensitivity_samples.csv")) == 60
+
+
+@pytest.mark.whole
+def test_a_vehicle_of_which_nothing_is_chosen_is_found_as_the_studys_own(tmp_path):
+    """The first values that are drawn, on bogies of which none is chosen either; two minutes."""
+    made = module_of(ROOT / "studies/vehicle/make_twin.py")
+    twin = made.drawn(free=True)
+    for name in ("vehicle", "bogie"):
+        shutil.copytree(ROOT / "studies" / name, tmp_path / name)
+    made.bogie.write_measurement(
+        tmp_path / "vehicle/measured", made.MODES, twin.modes, twin.shapes, twin.layout, twin.rng
+    )
+    own = LoadedStudy.load(tmp_path / "vehicle", {name: twin.truth[name] for name in ADOPTED})
+    with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
+        found = calibrated(own, CalibrationRun(ledger, only="GC1", method="gauss-newton"))
+    before, after = found.before.mean_freq_error, found.best.answer.mean_freq_error
+    assert found.best.statistics.p_fit > 0.001 and after < before / 2
+    table = found.tables["parameters"].set_index("parameter")
+    off = (table["value"] - pd.Series(twin.truth)[table.index]) / table["std"]
+    assert len(off) == 7 and off.abs().max() < 3.5 and np.mean(off**2) < 2.5, off
 
 
 @pytest.mark.whole
