@@ -58,7 +58,7 @@ def restarted(
             _fitted(own, base, start, best)
     kept = [start for start in kept if start[2][start[1]] != 0]  # the base model, from the nominal values
     if kept and _trapped(best):
-        further = replace(fits, settings=replace(fits.settings, budget=RULES.further * fits.settings.budget))
+        further = replace(fits, settings=replace(fits.settings, budget=RULES.anew_further * fits.settings.budget))
         for start in kept:
             if further.spent() or not _trapped(best):
                 break

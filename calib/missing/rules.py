@@ -66,7 +66,7 @@ class DecisionRules:
         Part of the budget that is added for refits from the nominal values.
     trapped : float
         Sum of squares over the number of rows that every effect leaves, above which further starts are fitted.
-    further : float
+    anew_further : float
         Part of the budget that is added for these.
     rebased : float
         Least decrease of the base model's sum of squares with which a decision begins again from a better base fit.
@@ -194,7 +194,7 @@ class DecisionRules:
     beyond: float = 5.0
     anew: float = 0.5
     trapped: float = 10.0
-    further: float = 1.0
+    anew_further: float = 1.0
     rebased: float = 1.0
     rebasings: int = 2
     base_starts: int = 6
