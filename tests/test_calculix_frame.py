@@ -46,7 +46,7 @@ def test_it_is_imported_calibrated_and_goes_back(tmp_path):
     assert abs(own / model.modes({}, len(own)).natural_freq - 1).max() > 0.02
     # With the mass that explain finds, validation data agree, and so does the deck with that mass.
     extended = study.extend(["added_mass_26"], tmp_path / "extended")
-    found = steps.calibrated(extended).best.statistics
+    found = steps.calibrate_step(extended).best.statistics
     assert found.fits and validation_mac(extended, found.values) > 0.99 > 0.7 > validation_mac(study, {})
     extended.decks(tmp_path / "mass")
     true, std = json.loads(TRUTH.read_text("utf-8")), pd.read_csv(tmp_path / "mass/calibrated.csv", index_col=0)["std"]

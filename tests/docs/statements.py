@@ -69,7 +69,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "README.md", told["sure"][told["sure"].index("A cause that is not listed") :]
     yield "README.md", f"hidden brake unit of {hidden:.1f} kg"
     least = float(f"{unit['magnitude_min']:.2g}")
-    yield "README.md", f"{size:.0f} kg here is {unit['z']:.0f}; {least:g} kg is the smallest that shows"
+    yield "README.md", f"{unit['z']:.0f} for {size:.0f} kg, {unit['z'] * least / size:.0f} for the {least:g} kg that just show"
     yield "docs/tutorial.md", f"{size:.1f} kg (95 % interval {low:.1f} to {high:.1f} kg)"
     yield "docs/tutorial.md", f"weighs {hidden:.1f} kg"
     yield "docs/studies.md", f"a brake unit of {hidden:.1f} kg"
@@ -108,7 +108,7 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
 
     suspects = pd.read_csv(folder / "suspects_explained.csv")
     (suspect,) = suspects[suspects["explains"]].sort_values("p").to_dict("records")[:1]
-    yield "docs/tutorial.md", f"Without {suspect['what']} the model would fit too"
+    yield "docs/tutorial.md", f"Without {suspect['what']} the model would fit as it is"
 
     gains = read(folder / "next_measurement.csv", "measurement", "effect")["gain"]
     own = re.search(r"computed at (\S+ Hz)", "\n".join(gains.index.get_level_values(0)))
