@@ -69,7 +69,8 @@ def of_the_explanation(folder: Path) -> Iterator[Statement]:
     yield "README.md", told["sure"][told["sure"].index("A cause that is not listed") :]
     yield "README.md", f"hidden brake unit of {hidden:.1f} kg"
     least = float(f"{unit['magnitude_min']:.2g}")
-    yield "README.md", f"{unit['z']:.0f} for {size:.0f} kg, {unit['z'] * least / size:.0f} for the {least:g} kg that just show"
+    scores = unit["z"] / size * np.array([size, least])
+    yield "README.md", f"{scores[0]:.0f} for {size:.0f} kg, {scores[1]:.0f} for the {least:g} kg that just show"
     yield "docs/tutorial.md", f"{size:.1f} kg (95 % interval {low:.1f} to {high:.1f} kg)"
     yield "docs/tutorial.md", f"weighs {hidden:.1f} kg"
     yield "docs/studies.md", f"a brake unit of {hidden:.1f} kg"
