@@ -79,18 +79,17 @@ def near_limit(found: Explanation, effects: pd.DataFrame) -> tuple[str, ...]:
 
 
 def misfit_words(found: Explanation) -> str:
-    """How improbable the misfit of the base model would be if nothing were missing."""
-    return f"Chance of such a misfit by noise alone, {_if_nothing(found)}: {family(found)}."
+    """How improbable the misfit of the base model is where nothing is missing."""
+    return f"Chance of such a misfit by noise alone, with {_supposed(found)}: {family(found)}."
 
 
 def misfit_in_short(found: Explanation) -> str:
     """The same for the summary: what was tried, and what the data make of it."""
-    with_that = "only the measurement wrong so" if found.granted else "nothing missing"
-    return f"With {with_that}, a misfit like this has {family_in_short(found)}."
+    return f"With {_supposed(found)}, a misfit like this has {family_in_short(found)}."
 
 
-def _if_nothing(found: Explanation) -> str:
-    return f"if {'only the measurement were wrong so' if found.granted else 'nothing were missing'}"
+def _supposed(found: Explanation) -> str:
+    return "only the measurement wrong so" if found.granted else "nothing missing"
 
 
 def family_in_short(found: Explanation) -> str:
@@ -277,10 +276,7 @@ def elsewhere(
     if not known or not away[best] > min(known):
         return ""
     named, what = found.base_adequacy.named, in_prose(chosen.names[0])
-    own = max(
-        (float(score) for name, score in zip(named.owners, named.magnitude, strict=True) if name == chosen.names[0]),
-        default=0.0,
-    )
+    own = max((s for n, s in zip(named.owners, named.magnitude, strict=True) if n == chosen.names[0]), default=0.0)
     less = f" (less well than the {what})" if own > scores.magnitude.max() else ""
     assumed, away_by = f"The list of causes assumes where the {what} is", f"{away[best]:.2g} m away"
     return f"{assumed}. Of single masses or springs anywhere, {best} fits best{less}, {away_by}: inspect both places."
