@@ -7,6 +7,7 @@ are linear in the matrices and have no such minima, so their solution comes near
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any, TypeGuard
 
 import numpy as np
@@ -17,7 +18,7 @@ from calib.correlation.frf.residual import FRFResidual
 from calib.errors.errors import EvaluationError, InputError
 from calib.inference.cmcf import cmcf
 from calib.inference.cmcf_equations import Change, CmcfSettings, InitialModel, Kind, MeasuredReceptance
-from calib.inference.linear_estimate import LinearEstimate, joined_estimate
+from calib.inference.linear_estimate import LinearEstimate
 from calib.measurement.frf import MeasuredFRFs
 from calib.problem.joint import JointProblem
 from calib.problem.prior import Prior
@@ -131,18 +132,11 @@ def linear_starts(
 def estimate_by_equations(
     problem: PairProblem[Any] | JointProblem, values: Mapping[str, float]
 ) -> LinearEstimate | None:
-    """The linear estimate of all tests of FRFs, each solved alone; None where there is no such test or one has none."""
-    estimates, rows, begin = list[LinearEstimate](), list[slice](), 0
-    for part in _parts(problem):
-        count = len(part.pair.rows)
-        if has_linear_start(part.pair):
-            found = linear_estimate(part.pair, part.space, _own(part, values))
-            if found is None:
-                return None
-            estimates.append(found)
-            rows.append(slice(begin, begin + count))
-        begin += count
-    return joined_estimate(estimates, values, rows, begin) if estimates else None
+    """The linear estimate of one test of FRFs, among all values; None for other or several tests, or no solution."""
+    if isinstance(problem, JointProblem) or not has_linear_start(problem.pair):
+        return None
+    found = linear_estimate(problem.pair, problem.space, _own(problem, values))
+    return None if found is None else replace(found, values={**values, **{n: found.values[n] for n in found.names}})
 
 
 def _parts(problem: PairProblem[Any] | JointProblem) -> tuple[PairProblem[Any], ...]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -118,23 +118,3 @@ def _factors(covariance: np.ndarray) -> np.ndarray:
     size, direction = np.linalg.eigh(covariance / np.outer(scale, scale))
     kept = size > _NEGLIGIBLE * max(size.max(initial=0.0), 1.0)
     return np.asarray(scale[:, None] * direction[:, kept] * np.sqrt(size[kept]))
-
-
-def joined_estimate(
-    estimates: Sequence[LinearEstimate], values: Mapping[str, float], rows: Sequence[slice], count: int
-) -> LinearEstimate:
-    """One estimate of several tests, each solved alone: a parameter of several is that of the last of them.
-
-    ``rows`` are those of each test in the joint residual of ``count`` rows.
-    """
-    last = {name: k for k, one in enumerate(estimates) for name in one.names}
-    names, found = tuple(last), dict(values)
-    gain, prior_gain = np.zeros((len(names), count)), np.zeros((len(names), len(names)))
-    for i, name in enumerate(names):
-        one = estimates[last[name]]
-        k = one.names.index(name)
-        gain[i, rows[last[name]]] = one.gain[k]
-        for j, other in enumerate(one.names):
-            prior_gain[i, names.index(other)] = one.prior_gain[k, j]
-        found[name] = one.values[name]
-    return LinearEstimate(found, names, gain, prior_gain)

@@ -13,7 +13,7 @@ from calib.hypotheses.linear_start import estimate_by_equations, linear_estimate
 from calib.inference.considered import At
 from calib.inference.constraints import ConstraintRows
 from calib.inference.identify import posterior
-from calib.inference.linear_estimate import LinearEstimate, joined_estimate
+from calib.inference.linear_estimate import LinearEstimate
 from calib.study.loading import module_of
 
 WORLD = module_of(Path(__file__).parents[1] / "template/frf_chain.py")
@@ -122,15 +122,6 @@ def test_the_model_is_tested_anywhere_within_the_estimate():
     assert tested.at.names == ("n",) and tested.uncertain.shape == (40, 3) and tested.constraints.held.shape == (1, 3)
     # What the estimate absorbs of the nuisance is no longer in its change of the residual.
     assert np.abs(at.slope[:, :2].T @ tested.at.slope).max() < 1e-9
-
-
-def test_of_several_tests_the_last_decides():
-    first = LinearEstimate({"a": 1.0, "b": 2.0}, ("a", "b"), np.array([[1.0, 2.0], [3.0, 4.0]]), np.eye(2))
-    second = LinearEstimate({"b": 5.0}, ("b",), np.array([[6.0]]), np.array([[7.0]]))
-    whole = joined_estimate([first, second], {"a": 0.0, "b": 0.0, "c": 9.0}, [slice(0, 2), slice(3, 4)], 4)
-    assert dict(whole.values) == {"a": 1.0, "b": 5.0, "c": 9.0}
-    assert whole.gain.tolist() == [[1.0, 2.0, 0.0, 0.0], [0.0, 0.0, 0.0, 6.0]]
-    assert whole.prior_gain.tolist() == [[1.0, 0.0], [0.0, 7.0]]
 
 
 @pytest.mark.medium
