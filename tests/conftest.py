@@ -153,7 +153,7 @@ def _unwritten(results: Any, *given: Any) -> Page:
 
 def _draw_nothing(patch: pytest.MonkeyPatch) -> None:
     patch.setattr("calib.report.figures.Figures.save", lambda *given: [])
-    patch.setattr("calib.api.figures.write_report", _unwritten)
+    patch.setattr("calib.report.html.write.write_report", _unwritten)
 
 
 @contextlib.contextmanager

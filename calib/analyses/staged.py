@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 from calib.analyses.provenance.places import QUICK
 from calib.analyses.provenance.stale import stale_answers
-from calib.analyses.sensitivity import outdated_selection, selecting
 from calib.errors.errors import InputError
 from calib.problem.space import ParameterSpace
 from calib.results.json_file import read_json
@@ -85,6 +84,8 @@ def stored_calibration(study: AnyStudy, folder: Results) -> Found | None:
 
     A selection by the sensitivity analysis is read from the same folder.
     """
+    from calib.analyses.sensitivity import selecting
+
     if _missing(study, folder):
         return None
     remedy = f"run 'calib calibrate {shell_argument(study.file)}' again"
@@ -113,6 +114,8 @@ def _missing(study: AnyStudy, folder: Results) -> bool:
         return True
     if isinstance(study, JointStudy) or not study.settings.selected_by_sensitivity:
         return False
+    from calib.analyses.sensitivity import outdated_selection
+
     return not folder.has("selection.csv") or bool(outdated_selection(study, folder))
 
 

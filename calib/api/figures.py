@@ -16,14 +16,12 @@ from calib.analyses.versions import write_versions
 from calib.api.figures_made import make_all
 from calib.api.listener import Listener
 from calib.errors.errors import InputError
-from calib.missing.pattern import BY_TEST
 from calib.problem.joint import TEST
 from calib.report.figures import FigureRequest
-from calib.report.html.study_results import StudyResults
-from calib.report.html.write import NAME as REPORT
-from calib.report.html.write import pictures, write_report
+from calib.report.html.study_results import REPORT, StudyResults
 from calib.report.style import FORMATS, Format, Width, add_heading, save, style
 from calib.report.tables import CurrentFolder, read_results
+from calib.report.why import BY_TEST
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.several import JointStudy
@@ -87,15 +85,17 @@ def draw(
         each = _shown(study, folder, root)
         whole = each[-1]
         report = not study.test and (report or folder.has(REPORT))
+        if report:
+            from calib.report.html import write  # with its templates, needed for pages alone
         for one in each:
             listener.to_draw(one.study, one.stale.told, place / REPORT if report and one is whole else None)
         with listener.progress() as step, places.tasks_shared(workers):
             for one in each:
                 place, own = one.folder.path, one.results.figures
-                request = FigureRequest(pictures(one.results) if report else (), formats, width)
+                request = FigureRequest(write.pictures(one.results) if report else (), formats, width)
                 own.take(partial(make_all, own, request, step))
             place = whole.folder.path
-            written = write_report(whole.results, step) if report else None
+            written = write.write_report(whole.results, step) if report else None
             for one in each:
                 place = one.folder.path
                 figures = one.results.figures.save(formats, step, width)

@@ -7,38 +7,40 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from calib.analyses.added import Added, to_add
-from calib.analyses.again import Repeated
-from calib.analyses.calibration import Fitted
-from calib.analyses.compare import ComparisonResult
-from calib.analyses.designs import Designs
-from calib.analyses.extend import Extension
-from calib.analyses.intervals import Intervals
-from calib.analyses.pareto import Pareto
-from calib.analyses.propose import ProposalResult
-from calib.analyses.refine import Refined
-from calib.analyses.robustness import Robustness
-from calib.analyses.screening import Screening
-from calib.analyses.sensitivity import Sensitivity
-from calib.analyses.versions import Versions
 from calib.api import progress
-from calib.api.entries import calibrated, compared, explained, proposed
 from calib.api.entries.entry import Entry, Warned, Words, count
 from calib.api.listener import Listener
 from calib.command import terminal
 from calib.command.terminal import say, tell_answer, tell_entries
 from calib.execution.stage import Progress
-from calib.missing.explanation import Explanation
-from calib.missing.findings import ExplanationResult
-from calib.report.html.write import Page
 from calib.results.answer import Answer
 from calib.results.results import Results
 from calib.results.running import RunningNote
 from calib.structure.reduction.cache import basis_cache
-from calib.study.several import AnyStudy
-from calib.study.study import LoadedStudy
 from calib.study.study_file import StudyFile, shell_argument
+
+if TYPE_CHECKING:
+    from calib.analyses.added import Added
+    from calib.analyses.again import Repeated
+    from calib.analyses.calibration import Fitted
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.designs import Designs
+    from calib.analyses.extend import Extension
+    from calib.analyses.intervals import Intervals
+    from calib.analyses.pareto import Pareto
+    from calib.analyses.propose import ProposalResult
+    from calib.analyses.refine import Refined
+    from calib.analyses.robustness import Robustness
+    from calib.analyses.screening import Screening
+    from calib.analyses.sensitivity import Sensitivity
+    from calib.analyses.versions import Versions
+    from calib.missing.explanation import Explanation
+    from calib.missing.findings import ExplanationResult
+    from calib.report.html.write import Page
+    from calib.study.several import AnyStudy
+    from calib.study.study import LoadedStudy
 
 _WITH_PAGE = ("run", "report")
 """Verbs whose answer is that of the report."""
@@ -140,36 +142,56 @@ class _Printing(Listener):
     # -- results -------------------------------------------------------------------------------------------------------
 
     def compared(self, study: LoadedStudy, answer: ComparisonResult, folder: Results, undamped: bool) -> None:
+        from calib.api.entries import compared
+
         place = folder.path / "comparison_before.csv"
         more = compared.undamped_entries(answer) if undamped else []
         self._answered(answer.answer, place, [*compared.compared_entries(study, answer, folder), *more])
 
     def sampled(self, study: LoadedStudy, answer: Sensitivity | Screening, folder: Results) -> None:
+        from calib.analyses.sensitivity import Sensitivity
+        from calib.api.entries import compared
+
         name = "selection" if isinstance(answer, Sensitivity) else answer.method
         self._answered(answer.answer, folder.path / f"{name}.csv", compared.sensitivity_entries(study, answer))
 
     def calibrated(self, study: AnyStudy, answer: Fitted, folder: Results) -> None:
+        from calib.api.entries import calibrated
+
         self._answered(answer.answer, folder.path / "verdicts.csv", calibrated.calibrated_entries(study, answer))
 
     def bounded(self, answer: Intervals, folder: Results) -> None:
+        from calib.api.entries import calibrated
+
         self._answered(answer.answer, folder.path / "intervals.csv", calibrated.interval_entries(answer))
 
     def pushed(self, answer: Robustness, folder: Results) -> None:
+        from calib.api.entries import calibrated
+
         self._answered(answer.answer, folder.path / "robustness.csv", calibrated.robustness_entries(answer))
 
     def weighed(self, answer: Pareto, folder: Results) -> None:
+        from calib.api.entries import calibrated
+
         self._answered(answer.answer, folder.path / "pareto.csv", calibrated.pareto_entries(answer))
 
     def refined(self, answer: Refined, folder: Results) -> None:
+        from calib.api.entries import compared
+
         self._answered(answer.answer, folder.path / "proposed_runs.csv", compared.refined_entries(answer))
 
     def explained(self, study: AnyStudy, answer: ExplanationResult, folder: Results) -> None:
+        from calib.api.entries import explained
+
         self._answered(
             answer.answer, folder.path / "effects.csv", explained.explained_entries(study, answer, self.verb == "run")
         )
         self._traces = (f"explain {study.file}", answer.traces)
 
     def may_add(self, study: StudyFile, found: Explanation) -> None:
+        from calib.analyses.added import to_add
+        from calib.api.entries import proposed
+
         if named := to_add(found):
             them = "them" if len(named.names) > 1 else "it"
             command = f"calib extend {shell_argument(study.file)} {' '.join(named.names)} --into FOLDER"
@@ -177,16 +199,24 @@ class _Printing(Listener):
         self._add(*proposed.may_propose(study, found))
 
     def proposed(self, study: StudyFile, result: ProposalResult, folder: Results, root: Path) -> None:
+        from calib.api.entries import proposed
+
         entries = [*proposed.proposed_entries(result), *proposed.written_entries(result, root)]
         self._answered(result.answer, folder.path / "proposals.csv", entries)
 
     def extended(self, written: Extension) -> None:
+        from calib.api.entries import explained
+
         self._add(*explained.of_extension(written, self.verb == "run"))
 
     def added(self, answer: Added, written: Extension, folder: Results) -> None:
+        from calib.api.entries import explained
+
         self._add(*explained.of_added(answer, written, folder))
 
     def versions(self, found: Versions) -> None:
+        from calib.api.entries import explained
+
         self._add(*explained.of_versions(found))
 
     def nothing_added(self, sentence: str) -> None:

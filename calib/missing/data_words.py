@@ -9,10 +9,10 @@ import pandas as pd
 
 from calib.missing.adequacy import UNSEEN, contradicting
 from calib.missing.goodness import p_words
-from calib.missing.local import unit_words
 from calib.missing.recommendation import rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
+from calib.problem.parameter import unit_words
 from calib.results.answer import in_prose
 
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}

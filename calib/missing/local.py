@@ -9,12 +9,7 @@ from dataclasses import dataclass
 from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.problem.candidate import Candidate
-from calib.problem.parameter import Parameter
-
-
-def unit_words(unit: str) -> str:
-    """A unit behind a number; empty for a dimensionless one."""
-    return "" if unit == "-" else f" {unit}"
+from calib.problem.parameter import Parameter, unit_words
 
 
 def magnitude_words(p: Parameter, value: float, low: float, high: float) -> str:

@@ -14,8 +14,8 @@ import pandas as pd
 import scipy.linalg as la
 
 from calib.missing.competing import EIGHT_OF_TEN, BayesFactor, CandidateMeasurement, CompetingModels, at_effect
-from calib.missing.local import unit_words
 from calib.missing.rules import RULES
+from calib.problem.parameter import unit_words
 
 MOST = 3
 """Invisible effects for which a measurement is recommended: more do not fit into a sentence."""

@@ -10,9 +10,9 @@ import numpy as np
 import pandas as pd
 
 from calib.missing.competing import CandidateMeasurement, Excitation
-from calib.missing.local import unit_words
 from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Interval, as_ratio, rounded
 from calib.missing.rules import RULES
+from calib.problem.parameter import unit_words
 from calib.results.answer import in_prose
 
 COLUMNS = (

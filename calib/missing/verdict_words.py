@@ -16,13 +16,14 @@ from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.goodness import p_words
-from calib.missing.local import fault_words, local_perturbation, magnitude_words, unit_words
+from calib.missing.local import fault_words, local_perturbation, magnitude_words
 from calib.missing.plausible import limit_of
 from calib.missing.recommendation import as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.missing.score import noise_limit
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
+from calib.problem.parameter import unit_words
 from calib.results.answer import in_prose, names_in_words
 
 _QUESTIONS = ("Whether", "Where", "How", "Which", "What")

@@ -355,6 +355,11 @@ RULES = LimitRules()
 """Distances in force."""
 
 
+def unit_words(unit: str) -> str:
+    """A unit behind a number; empty for a dimensionless one."""
+    return "" if unit == "-" else f" {unit}"
+
+
 def limit_at(
     value: float, lower: float, upper: float, std: float | None = None, searched: bool = False
 ) -> Literal["lower", "upper"] | None:

@@ -14,8 +14,7 @@ from typing import Any
 from calib.analyses.provenance.places import LEDGER, root_for
 from calib.api.figures import shown
 from calib.errors.errors import InputError
-from calib.report.html.study_results import StudyResults
-from calib.report.html.write import NAME as REPORT
+from calib.report.html.study_results import REPORT, StudyResults
 from calib.report.tables import CurrentFolder
 from calib.results.results import OWNER, Results
 from calib.results.written import LOG

@@ -152,7 +152,7 @@ def test_what_the_user_puts_among_results_is_kept(sums, unrendered, capsys, monk
     if name.endswith(".png"):
         monkeypatch.setattr("calib.report.figures.Figures.save", SAVE)
     if name.endswith(".html"):
-        monkeypatch.setattr("calib.api.figures.write_report", write_report)
+        monkeypatch.setattr("calib.report.html.write.write_report", write_report)
     assert cli.execute(["calibrate", "plain", "--workers", "1"]) == 0
     assert cli.execute(["report", "plain"]) == 0
     file = Path("results/plain", name)

@@ -143,7 +143,7 @@ def run(tmp_path_factory):
             reported.append(results.folder.folder.name)
             return Page(results.folder / "report.html", page_summary(results))
 
-        patch.setattr("calib.api.figures.write_report", unwritten)
+        patch.setattr("calib.report.html.write.write_report", unwritten)
         assert cli.execute(["run", str(study), "--results", str(root / "results"), "--workers", "1"]) == 0
     return study, root / "results", drawn, reported
 

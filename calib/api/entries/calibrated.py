@@ -15,7 +15,7 @@ from calib.analyses.pareto import FRONT, Pareto, in_words
 from calib.analyses.robustness import Robustness
 from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
-from calib.missing.local import unit_words
+from calib.problem.parameter import unit_words
 from calib.study.several import AnyStudy
 
 ERRORS = ("rows", "rms", "of a correct model", "p")

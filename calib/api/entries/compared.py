@@ -4,22 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Iterable, Iterator, Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
-from calib.analyses.compare import ComparisonResult
 from calib.analyses.provenance.record import assumptions_table, check_repeats
-from calib.analyses.refine import Refined
-from calib.analyses.screening import Screening
-from calib.analyses.sensitivity import Sensitivity
 from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals
 from calib.measurement.places import Doubt
-from calib.missing.local import unit_words
+from calib.problem.parameter import unit_words
 from calib.results.results import Results
-from calib.study.several import AnyStudy
-from calib.study.study import LoadedStudy
 from calib.study.study_file import shell_argument
+
+if TYPE_CHECKING:
+    from calib.analyses.compare import ComparisonResult
+    from calib.analyses.refine import Refined
+    from calib.analyses.screening import Screening
+    from calib.analyses.sensitivity import Sensitivity
+    from calib.study.several import AnyStudy
+    from calib.study.study import LoadedStudy
 
 _FUNCTIONS, _INPUTS = 24, 4
 """FRFs, and inputs of a metamodel, that are printed; the tables in the results folder have all."""
@@ -138,6 +140,8 @@ def failed_entries(why: str, study: AnyStudy) -> list[Warned]:
 
 def sensitivity_entries(study: AnyStudy, result: Sensitivity | Screening) -> list[Entry]:
     """A sensitivity analysis by any method."""
+    from calib.analyses.sensitivity import Sensitivity
+
     return _samples(study, result) if isinstance(result, Sensitivity) else _screening(study, result)
 
 

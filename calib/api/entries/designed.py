@@ -9,7 +9,7 @@ import pandas as pd
 
 from calib.analyses.designs import Designs
 from calib.api.entries.entry import Entry, Rows, Words, decimals
-from calib.missing.local import unit_words
+from calib.problem.parameter import unit_words
 
 _HEADS = ("rank", "design", "case", "generation", "objective", "mean error", "mean MAC")
 

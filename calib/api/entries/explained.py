@@ -14,7 +14,6 @@ from calib.api.entries.compared import held_out
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.accuracy_by_kind import TABLE as ACCURACY_BY_KIND
 from calib.missing.findings import ExplanationResult
-from calib.missing.local import unit_words
 from calib.missing.pattern import BY_TEST
 from calib.missing.predictions import ERRORS as ERRORS_WITH
 from calib.missing.predictions import TABLE as PREDICTIONS
@@ -22,6 +21,7 @@ from calib.missing.recommendation import rounded
 from calib.missing.steps_table import STEPS, STEPS_ERRORS
 from calib.missing.test_order import TABLE as TEST_ORDER
 from calib.problem.joint import TEST, of_test
+from calib.problem.parameter import unit_words
 from calib.results.results import Results
 from calib.study.several import AnyStudy
 

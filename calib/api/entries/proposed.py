@@ -9,7 +9,7 @@ from typing import Any
 from calib.analyses.propose import FILE, ProposalResult
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.explanation import OPEN, Explanation
-from calib.missing.local import unit_words
+from calib.problem.parameter import unit_words
 from calib.results.results import RESULTS
 from calib.study.study_file import StudyFile, shell_argument
 

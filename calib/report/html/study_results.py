@@ -26,6 +26,8 @@ from calib.report.tables import (
 from calib.results.answer import in_prose
 from calib.results.json_file import ANY, read_json
 
+REPORT = "report.html"
+"""Name of the page."""
 STAGES = ("before", "after")
 _ANALYSIS = {
     "when": str, "quick": bool, "versions": {ANY: str}, "seeds": {ANY: float}, "sentences": [str],

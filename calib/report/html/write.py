@@ -29,11 +29,10 @@ from calib.report.html import (
     verified,
 )
 from calib.report.html.cells import FILTERS, filled, is_words
-from calib.report.html.study_results import StudyResults
+from calib.report.html.study_results import REPORT, StudyResults
 from calib.report.html.summary import Summary, page_summary
 from calib.results.written import replacing
 
-NAME = "report.html"
 ANSWER = ("stale", "place", "order", "afterwards", "doubts")
 """The sections that stand first and open: the answer. All others are folded."""
 SECTIONS = (
@@ -177,7 +176,7 @@ def write_report(results: StudyResults, progress: Progress = silent) -> Page:
     """
     if not results.figures.folder.folder.is_dir():
         raise InputError("there is no such folder of results", place=results.figures.folder.folder)
-    text, path = page(results, progress), results.folder / NAME
+    text, path = page(results, progress), results.folder / REPORT
     with replacing(path) as draft:
         draft.write_text(text, encoding="utf-8")
     return Page(path, page_summary(results))

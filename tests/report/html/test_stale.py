@@ -19,9 +19,9 @@ from calib.analyses.provenance.state import WRITES, made_from, state_differences
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.errors.own_code import CALIB
-from calib.report.html.study_results import StudyResults
+from calib.report.html.study_results import REPORT, StudyResults
 from calib.report.html.summary import page_summary
-from calib.report.html.write import NAME, sections
+from calib.report.html.write import sections
 from calib.report.tables import CurrentFolder
 from calib.results.results import OWNER, Results
 from calib.study.study import LoadedStudy
@@ -176,7 +176,7 @@ def test_the_report_alone_names_what_is_stale_and_keeps_the_tables(sums, unrende
     output = " ".join(run("report").split("\n"))
     assert all(words in output for words in stale().sentences.values()) and len(stale().sentences) == 3
     assert {p.name: p.read_bytes() for p in (ROOT / "sums").glob("*.csv")} == tables
-    assert not list((ROOT / "sums").glob("*.png")) and (ROOT / "sums" / NAME).exists()
+    assert not list((ROOT / "sums").glob("*.png")) and (ROOT / "sums" / REPORT).exists()
     edit("measured.csv", "y,2.2", "y,3.1")
     run("report")
     assert {p.name for p in (ROOT / "sums").glob("*.png")} == pictures
