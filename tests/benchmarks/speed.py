@@ -75,10 +75,14 @@ GROUPS = {
 }
 ROWS = (
     Row("import calib; calib.Problem", "s", "0.4x", "imports", "seconds"),
-    Row("calib compare studies/bogie, first", "s", "0.4x", "compare", "first"),
-    Row("again, unchanged", "s", "0.15x", "compare", "again"),
-    Row("calib explain studies/hidden_bogie, nothing kept", "s", "0.4x", "explain", "first"),
-    Row("the same, bases kept", "s", "0.3x", "explain", "kept"),
+    Row("calib compare studies/bogie, first: answer printed", "s", "0.4x", "compare", "answer"),
+    Row("figures drawn, end", "s", "", "compare", "first"),
+    Row("again, unchanged: answer printed", "s", "0.15x", "compare", "answer_again"),
+    Row("end", "s", "", "compare", "again"),
+    Row("calib explain studies/hidden_bogie, nothing kept: answer printed", "s", "0.4x", "explain", "answer"),
+    Row("figures drawn, end", "s", "", "explain", "first"),
+    Row("the same, bases kept: answer printed", "s", "0.3x", "explain", "answer_kept"),
+    Row("figures drawn, end", "s", "", "explain", "kept"),
     Row("Spearman, 100 inputs, 300 responses, 500 samples", "s", "0.02", "spearman", "seconds"),
     Row(
         "plate of 4,800 degrees of freedom, 14 parts, one damped: calibrate and explain, over one solution by eigsh",

@@ -14,9 +14,12 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)  # a user's Python keeps what it has compiled
 
+import contextlib
+import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable
 from pathlib import Path
 
@@ -49,31 +52,59 @@ def of_imports() -> Taken:
 
 
 def of_compare() -> Taken:
-    """``calib compare studies/bogie`` first, and again with nothing changed."""
+    """``calib compare studies/bogie`` first, and again with nothing changed; each to its answer and to its end."""
     with tempfile.TemporaryDirectory() as home:
         command("compare", "bogie", f"{home}/before", home)  # compiles, and trains the basis
-        return {
-            "first": spent(lambda: command("compare", "bogie", f"{home}/results", home)),
-            "again": spent(lambda: command("compare", "bogie", f"{home}/results", home)),
-        }
+        answer, first = command("compare", "bogie", f"{home}/results", home)
+        answer_again, again = command("compare", "bogie", f"{home}/results", home)
+    return {"answer": answer, "first": first, "answer_again": answer_again, "again": again}
 
 
 def of_explain() -> Taken:
     """``calib explain studies/hidden_bogie`` with nothing kept, and with the bases of an earlier run."""
     with tempfile.TemporaryDirectory() as home:
-        return {
-            "first": spent(lambda: command("explain", "hidden_bogie", f"{home}/results", home)),
-            "kept": spent(lambda: command("explain", "hidden_bogie", f"{home}/again", home)),
-        }
+        answer, first = command("explain", "hidden_bogie", f"{home}/results", home)
+        answer_kept, kept = command("explain", "hidden_bogie", f"{home}/again", home)
+    return {"answer": answer, "first": first, "answer_kept": answer_kept, "kept": kept}
 
 
-def command(name: str, study: str, results: str, home: str) -> None:
-    """A command of the checkout on its own study, into a folder of results, with a cache in another."""
+def command(name: str, study: str, results: str, home: str) -> tuple[Spent, Spent]:
+    """A command of the checkout on its own study, into a folder of results, with a cache in another.
+
+    What passes until its answer is printed, and until it has ended: figures are drawn in between.
+    """
     import calib
 
-    words = [sys.executable, "-m", "calib", name, f"studies/{study}", "--results", results]
+    words = [sys.executable, "-u", "-m", "calib", name, f"studies/{study}", "--results", results]
     root, kept = Path(calib.__file__).parents[1], {**os.environ, "CALIB_CACHE": f"{home}/cache"}
-    subprocess.run(words, cwd=root, env=kept, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    answer = Spent(float("nan"), float("nan"))
+    begun, used = time.perf_counter(), processor_of_children()
+    with subprocess.Popen(
+        words, cwd=root, env=kept, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True, start_new_session=True
+    ) as running:
+        assert running.stdout is not None
+        for line in running.stdout:
+            if line.startswith("Found:"):
+                answer = Spent(time.perf_counter() - begun, processor_of_session(running.pid))
+    if running.returncode:
+        raise RuntimeError(f"{' '.join(words)} ended with {running.returncode}")
+    return answer, Spent(time.perf_counter() - begun, processor_of_children() - used)
+
+
+def processor_of_children() -> float:
+    """Processor seconds of the processes that this one has waited for."""
+    used = resource.getrusage(resource.RUSAGE_CHILDREN)
+    return used.ru_utime + used.ru_stime
+
+
+def processor_of_session(leader: int) -> float:
+    """Processor seconds so far of all processes of a session, from Linux' /proc; NaN elsewhere."""
+    ticks = 0
+    for file in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(OSError):  # it has ended meanwhile
+            fields = file.read_text().rpartition(")")[2].split()
+            ticks += sum(map(int, fields[11:15])) if int(fields[3]) == leader else 0
+    return ticks / os.sysconf("SC_CLK_TCK") if ticks else float("nan")
 
 
 def of_spearman() -> Taken:
