@@ -140,9 +140,17 @@ def _version(studies: Studies, study: KnownStudy, parent: str, part: str) -> dic
 
 def uncalibrated(studies: Studies, study: KnownStudy, effects: Sequence[str], quick: bool) -> KnownStudy | None:
     """The version of a study that has these effects too, but was not calibrated by such a run; None without one."""
-    family = {one["key"]: one for one in versions(studies, study, "quick" if quick else "")}
+    found = _with_effects(studies, study, effects, "quick" if quick else "")
+    keys = [one["key"] for one in found if not one["errors"] and not one["fault"]]
+    return studies.one(keys[0]) if keys else None
+
+
+def is_added(studies: Studies, study: KnownStudy, effects: Sequence[str], part: str) -> bool:
+    """Whether a version of a study has these effects too, and its errors are known."""
+    return any(one["errors"] for one in _with_effects(studies, study, effects, part))
+
+
+def _with_effects(studies: Studies, study: KnownStudy, effects: Sequence[str], part: str) -> list[dict[str, Any]]:
+    family = {one["key"]: one for one in versions(studies, study, part)}
     wanted = {*family[study.key]["effects"], *effects}
-    for key, one in family.items():
-        if one["parent"] == study.key and set(one["effects"]) == wanted and not one["errors"] and not one["fault"]:
-            return studies.one(key)
-    return None
+    return [one for one in family.values() if one["parent"] == study.key and set(one["effects"]) == wanted]

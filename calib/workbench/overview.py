@@ -9,6 +9,7 @@ from calib.report.html.cells import arrows
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import ANSWERING, page_summary
 from calib.study.study_file import StudyFile
+from calib.workbench.missing import is_added
 from calib.workbench.studies import KnownStudy, Studies
 
 _ROWS = (
@@ -38,7 +39,7 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
     -------
     dict
         ``title, synthetic, summary`` (as the report's head says it), ``analyses`` (one each, with ``state``: ``done``,
-        ``stale`` or ``never``), ``next`` (a command and the sentence that names it), ``notes``, ``parts``, ``tests``,
+        ``stale`` or ``never``), ``next`` (a command, ``add`` or ``added``, and the sentence that names it), ``notes``, ``parts``, ``tests``,
         ``kind`` of the data, ``figure``, and ``further``: analyses of the designs, of each the one that it needs
         (``after``) and its ``figure``.
     """
@@ -46,11 +47,14 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
     rows = [_analysis(results, *row) for row in _ROWS if row[0] != "explain" or _has_library(results)]
     summary = page_summary(results)
     ran = any(row["state"] != "never" for row in rows)
+    then = _next(results, rows)
+    if then["verb"] == "add" and is_added(studies, study, results.explanation["to_add"], part):
+        then = {"verb": "added", "words": "The errors with what was added stand beside those without it."}
     return {
         "title": results.title, "name": study.name, "synthetic": results.synthetic, "path": str(study.file.parent),
         "summary": {"found": summary.found, "sure": summary.sure, "then": summary.then, "facts": summary.facts,
                     "origin": summary.origin} if ran else None,
-        "analyses": rows, "next": _next(results, rows), "notes": _notes(results), "parts": study.parts,
+        "analyses": rows, "next": then, "notes": _notes(results), "parts": study.parts,
         "tests": _tests(study), "kind": results.kind if ran else "", "figure": _figure(results) if ran else None,
         "report": studies.report(study, part) is not None, "further": _further(results),
     }  # fmt: skip

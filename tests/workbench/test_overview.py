@@ -14,6 +14,7 @@ from calib.command import cli
 from calib.report.html.study_results import StudyResults
 from calib.report.html.summary import page_summary
 from calib.results.results import Results
+from calib.workbench.missing import is_added
 from calib.workbench.overview import _further, _next
 from calib.workbench.studies import Studies
 
@@ -96,6 +97,18 @@ def test_a_folder_lists_its_studies_and_their_versions(here, page_of):
     assert found["mast"]["done"] == ["compare"] and found["other"]["done"] == []
     family = page.get(f"study/{found['mast']['key']}/versions").json()["versions"]
     assert [(one["name"], one["effects"]) for one in family] == [("mast", []), ("mast_with_guy", ["guy"])]
+
+
+@pytest.mark.parametrize(("effects", "parent", "errors", "added"), [
+    (["guy"], "mast", [{"rms": 1.1}], True), (["guy"], "mast", [], False), (["guy"], "other", [{"rms": 1.1}], False),
+    (["strut"], "mast", [{"rms": 1.1}], False),
+])  # fmt: skip
+def test_what_was_added_does_not_come_next_again(here, monkeypatch, effects, parent, errors, added):
+    own = {"key": "mast", "parent": "", "effects": [], "errors": []}
+    version = {"key": "version", "parent": parent, "effects": effects, "errors": errors}
+    monkeypatch.setattr("calib.workbench.missing.versions", lambda *given: [own, version])
+    studies = Studies(Path("mast"), Path("results"))
+    assert is_added(studies, SimpleNamespace(key="mast"), ["guy"], "") is added
 
 
 def test_results_are_read_once_until_they_change(here):

@@ -52,8 +52,9 @@ export class Overview {
       summary.then ? h("p", {}, h("strong", {}, "Next: "), summary.then) : null,
       h("div", { class: "act" },
         next === "add" ? h("a", { class: "button main", href: pane.address("missing") }, "See and add what is missing") :
+        next === "added" ? h("a", { class: "button main", href: pane.address("missing") }, "See the errors with what was added") :
           next ? pane.button(next, named[next] ?? next, "main") : null,
-        next ? pane.quickly() : null,
+        next && next !== "added" ? pane.quickly() : null,
         known.report ? h("a", { class: "button", href: pane.of("report"), target: "_blank", rel: "noopener" }, "Report") : null)),
       h("dl", { class: "facts" }, summary.facts.map(([what, number]) => h("div", {}, h("dt", {}, what), h("dd", {}, number)))),
       summary.origin ? h("p", { class: "soft small" }, summary.origin) : null);
