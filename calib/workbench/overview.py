@@ -39,9 +39,9 @@ def overview(studies: Studies, study: KnownStudy, part: str, test: str) -> dict[
     -------
     dict
         ``title, synthetic, summary`` (as the report's head says it), ``analyses`` (one each, with ``state``: ``done``,
-        ``stale`` or ``never``), ``next`` (a command, ``add`` or ``added``, and the sentence that names it), ``notes``, ``parts``, ``tests``,
-        ``kind`` of the data, ``figure``, and ``further``: analyses of the designs, of each the one that it needs
-        (``after``) and its ``figure``.
+        ``stale`` or ``never``), ``next`` (a command, ``add`` or ``added``, and the sentence that names it), ``notes``,
+        ``parts``, ``tests``, ``kind`` of the data, ``figure``, and ``further``: analyses of the designs, of each the
+        one that it needs (``after``) and its ``figure``.
     """
     results = studies.results(study, part, test)
     rows = [_analysis(results, *row) for row in _ROWS if row[0] != "explain" or _has_library(results)]
