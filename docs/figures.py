@@ -126,10 +126,14 @@ def main() -> None:
 
 
 def of_folder(folder: Path, name: str) -> Figure | None:
-    """A figure of a calibrated study or of a script, with its heading; None where there is none of that name."""
+    """A figure of a study or of a script, with its heading; None where there is none of that name.
+
+    All but that of a sensitivity analysis are of calibrated studies.
+    """
     if folder.name in SCRIPTS:
         return module_of(SCRIPTS[folder.name]).SET.drawn(folder, name)
-    if not (folder / "summary.json").is_file():
+    needed = "sensitivity.csv" if name == "sensitivity" else "summary.json"
+    if not (folder / needed).is_file():
         return None
     record = _record(folder)
     drawing = Figures(folder, record["title"], record["synthetic"]).plan.get(name)
