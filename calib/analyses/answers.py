@@ -61,7 +61,7 @@ def of_comparison(result: _Compared) -> Answer:
     if result.checks:
         then = _check_first(result.checks)
     elif found.far:
-        then = f"Check first: the pairing and the units of {listed(found.far)}, far off in frequency."
+        then = f"Check first: the pairing and the units of {enumerated(found.far)}, far off in frequency."
     else:
         verdicts = found.where_it_fails()["verdict"]
         then = FIT if (verdicts == BEYOND).any() or not (verdicts == WITHIN).any() else _FINE
@@ -112,13 +112,13 @@ def of_sensitivity(table: pd.DataFrame, tested: str) -> Answer:
     """Answer of a sensitivity analysis by rank correlations from its selection; ``tested`` tells how sure."""
     matter = table.loc[table["measured"].astype(bool), "parameter"].tolist()
     count = f"{len(matter)} of {_count(len(table), 'parameter')} {'matters' if len(matter) == 1 else 'matter'}"
-    words = f"{count}: {listed(matter)}." if matter else f"{count}: none moves a response beyond chance."
+    words = f"{count}: {enumerated(matter)}." if matter else f"{count}: none moves a response beyond chance."
     selected = table.loc[table["selected"].astype(bool), "parameter"].tolist()
     without, beside = ([n for n in a if n not in b] for a, b in ((matter, selected), (selected, matter)))
     if without:
-        words += f" The study leaves out {listed(without)}."
+        words += f" The study leaves out {enumerated(without)}."
     if beside:
-        words += f" The study also selects {listed(beside)}."
+        words += f" The study also selects {enumerated(beside)}."
     then = "Fit the selected parameters: calib calibrate." if selected else "Widen the limits, or name the parameters."
     return Answer(words, tested, then, "calibrate" if selected else "")
 
@@ -129,7 +129,7 @@ def screening_answer(method: str, table: pd.DataFrame, tested: str) -> Answer:
     known = table.dropna(subset=[size])
     largest = known.groupby("parameter", sort=False)[size].max().sort_values(ascending=False, kind="stable")
     order = [f"{name} ({value:.2g})" for name, value in largest.items()]
-    words = f"By their largest {size}: {listed(order)}." if order else "No response is known, so nothing is ranked."
+    words = f"By their largest {size}: {enumerated(order)}." if order else "No response is known, so nothing is ranked."
     then = "Name the parameters that matter in 'selection', then fit them: calib calibrate."
     return Answer(words, tested, then)
 
@@ -227,7 +227,7 @@ def _next(
         return "Give the search more generations or cases."
     bad = verdicts.loc[verdicts["identified"].notna() & ~verdicts["identified"].fillna(True).astype(bool), "parameter"]
     if len(bad):
-        which = listed(bad.tolist())
+        which = enumerated(bad.tolist())
         return f"Do not rely on single values that are not identified: {which}; measure them apart, or leave them out."
     return "Use the model within the frequencies and limits that it was fitted in."
 
@@ -243,7 +243,7 @@ def _change(before: _Compared, after: _Compared) -> str:
     return words
 
 
-def listed(names: Sequence[str]) -> str:
+def enumerated(names: Sequence[str]) -> str:
     """Names in a row; of many only the first."""
     more = len(names) - NAMED
     return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")

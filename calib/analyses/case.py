@@ -22,7 +22,15 @@ from calib.analyses.case_starts import (
     until_agreed,
 )
 from calib.analyses.explained_fit import explained_fit
-from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, fit_problem, mesh_doubt, statistics_at
+from calib.analyses.fit_statistics import (
+    FitProblem,
+    FitStatistics,
+    Near,
+    ObjectiveTerms,
+    fit_problem,
+    mesh_doubt,
+    statistics_at,
+)
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
@@ -230,11 +238,11 @@ class CaseFinder:
     def statistics_at(self, values: Mapping[str, float], estimate: LinearEstimate | None = None) -> FitStatistics:
         """The fit statistics at given values, without a fit; of a linear ``estimate`` where they come from one."""
         near = near_of(self.study, self.reductions()) if self.study.held_sd else None
-        return statistics_at(self.exact, Terms.of(self.study), values, near, estimate)
+        return statistics_at(self.exact, ObjectiveTerms.of(self.study), values, near, estimate)
 
     def mesh_doubt(self, found: FitStatistics) -> str:
         """See `calib.analyses.fit_statistics.mesh_doubt`; empty for a quick run."""
-        return "" if self.quick else mesh_doubt(self.exact, Terms.of(self.study), found)
+        return "" if self.quick else mesh_doubt(self.exact, ObjectiveTerms.of(self.study), found)
 
     def _certifier(self, reductions: Mapping[str, Reduction]) -> Any:
         """Callback that checks every would-be best point of one test; several are checked where a case ended."""
@@ -317,7 +325,7 @@ class CaseFinder:
         reduced = on_basis() if reductions else None
         common = self._in_common(exact if reduced is None else reduced, refits, told) if shared else None
         return fitted_at_full_order(
-            exact, reduced, Terms.of(study), starts, refits, progress, self.known, common, told, enough,
+            exact, reduced, ObjectiveTerms.of(study), starts, refits, progress, self.known, common, told, enough,
             lambda: near_of(study, grown), widened,
         )  # fmt: skip
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 import pandas as pd
 
-from calib.analyses.answers import listed, of_comparison
+from calib.analyses.answers import enumerated, of_comparison
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import traced
 from calib.analyses.provenance.state import ORTHOGONALITY
@@ -104,7 +104,7 @@ class ComparisonResult:
     def checks(self) -> tuple[str, ...]:
         """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
         doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
-        sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {listed(doubtful)}"] if doubtful else []
+        sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {enumerated(doubtful)}"] if doubtful else []
         data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
         errors = [*(error.check for error in self.gross_errors), *(twice.check for twice in self.found_twice)]
         return (*data, *errors, *sensors)

@@ -53,7 +53,7 @@ class Extension:
     aside: Path | None = None
 
 
-def extend(
+def write_extension(
     study: AnyStudy, names: Sequence[str], folder: Path, begin_at: Mapping[str, float] = MappingProxyType({})
 ) -> Extension:
     """Write a study that builds on another and adds effects of its library; it is written whole or not at all.
@@ -86,7 +86,7 @@ def extend_among(
 ) -> Extension:
     """Write the same into a folder of results, replacing what an earlier run wrote there.
 
-    ``begin_at`` as in `extend`.
+    ``begin_at`` as in `write_extension`.
 
     The new study names its parent by a relative and an absolute path, so that it can be moved alone or together with
     it. An identical study stays as it is. Another one is replaced if it is unchanged since it was written here;

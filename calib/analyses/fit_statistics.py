@@ -65,7 +65,7 @@ def fit_problem(
 
 
 @dataclass(frozen=True)
-class Terms:
+class ObjectiveTerms:
     """Inputs of the fit statistics beside the problem.
 
     Attributes
@@ -89,7 +89,7 @@ class Terms:
     mesh: Callable[[Mapping[str, float]], np.ndarray] | None = None
 
     @classmethod
-    def of(cls, study: AnyStudy) -> Terms:
+    def of(cls, study: AnyStudy) -> ObjectiveTerms:
         """The terms of a study."""
         stated = study.settings.explain
         known = any(one.has_finer_mesh for one in study.studies)
@@ -281,7 +281,7 @@ class FitStatistics:
 
 
 def statistics_at(
-    problem: FitProblem, terms: Terms, values: Mapping[str, float], near: Near | None = None,
+    problem: FitProblem, terms: ObjectiveTerms, values: Mapping[str, float], near: Near | None = None,
     estimate: LinearEstimate | None = None,
 ) -> FitStatistics:  # fmt: skip
     """Fit statistics at given values, without a fit; ``estimate`` is what they come from, if known."""
@@ -304,7 +304,7 @@ class Near(NamedTuple):
 
 def statistics_of(
     problem: FitProblem,
-    terms: Terms,
+    terms: ObjectiveTerms,
     values: dict[str, float],
     fit: FitResult | None,
     profiles: Profiles,
@@ -378,7 +378,7 @@ def statistics_of(
     )  # fmt: skip
 
 
-def mesh_doubt(problem: FitProblem, terms: Terms, found: FitStatistics) -> str:
+def mesh_doubt(problem: FitProblem, terms: ObjectiveTerms, found: FitStatistics) -> str:
     """Which estimates a finer mesh would move, in words; empty where it moves none, is unknown, or already counts."""
     if terms.mesh is None or terms.mesh_sd is not None:
         return ""

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from calib.analyses.case import reduction_noted
-from calib.analyses.fit_statistics import FitProblem, Terms, fit_problem, statistics_at
+from calib.analyses.fit_statistics import FitProblem, ObjectiveTerms, fit_problem, statistics_at
 from calib.analyses.provenance.places import Workers, tasks_shared
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
@@ -140,7 +140,7 @@ def intervals_at(study: AnyStudy, values: Mapping[str, float], run: IntervalsRun
             f"{unknown[0]} {why}, so it has no profile", place="intervals",
             remedy=f"the parameters are {', '.join(names)}",
         )  # fmt: skip
-    scaled = _Scaled(problem, statistics_at(problem, Terms.of(study), values).birge)
+    scaled = _Scaled(problem, statistics_at(problem, ObjectiveTerms.of(study), values).birge)
     # The optimum of the problem that is scanned: a reduced one ends elsewhere by its tolerance.
     whole = {p.name: values[p.name] for p in space.free if p.integer}
     prior = Prior.of(space)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from itertools import pairwise
 
-from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, Terms, statistics_of
+from calib.analyses.fit_statistics import FitProblem, FitStatistics, Near, ObjectiveTerms, statistics_of
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.modal_start import modal_leap
@@ -74,7 +74,7 @@ def ended(
 
 def fitted(
     problem: FitProblem,
-    terms: Terms,
+    terms: ObjectiveTerms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,
@@ -116,7 +116,7 @@ def fitted(
 def fitted_at_full_order(
     exact: FitProblem,
     reduced: FitProblem | None,
-    terms: Terms,
+    terms: ObjectiveTerms,
     starts: Sequence[Mapping[str, float]],
     refits: int,
     progress: FitProgress = lambda start, fits, misfit: None,

@@ -11,7 +11,7 @@ import pandas as pd
 from scipy import special
 
 from calib.analyses.case import objective_of
-from calib.analyses.fit_statistics import Terms, statistics_at
+from calib.analyses.fit_statistics import ObjectiveTerms, statistics_at
 from calib.analyses.intervals import scanned_problem
 from calib.analyses.joint_responses import Responses
 from calib.analyses.provenance.places import Workers
@@ -221,7 +221,7 @@ def _points(study: AnyStudy, values: Mapping[str, float], run: RobustnessRun) ->
     The fitted ones follow errors of the mesh and those that data share, too.
     """
     problem, _ = scanned_problem(study, run.homes, run.ledger, run.workers, run.progress)
-    space, terms, count = problem.space, Terms.of(study), run.settings.samples
+    space, terms, count = problem.space, ObjectiveTerms.of(study), run.settings.samples
     names = tuple(p.name for p in space.free if not p.integer)
     birge = statistics_at(problem, terms, values).birge
     held_sd = {name: sd for name, sd in terms.held_sd.items() if name in study.search_space}

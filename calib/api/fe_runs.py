@@ -19,7 +19,7 @@ from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, toml_text, write
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.retry import Retrying
 from calib.imports.matrices import ReadMatrices, read_matrices
-from calib.imports.runs import Terms, terms_of_runs
+from calib.imports.runs import MatrixTerms, terms_of_runs
 from calib.measurement.modal import DIRECTIONS, MeasuredModes
 from calib.problem.parameter import Parameter
 from calib.structure.effects.terms import CONSTANT, term_name
@@ -131,7 +131,9 @@ def _first_test(file: Path) -> str:
     return settings.tests[0].name if settings.several else ""
 
 
-def _checked(study: LoadedStudy, given: SolverSettings, runs: _SolverRuns, terms: Terms, to: Path | None) -> Imported:
+def _checked(
+    study: LoadedStudy, given: SolverSettings, runs: _SolverRuns, terms: MatrixTerms, to: Path | None
+) -> Imported:
     """The model with the parameters whose terms give the solver's own modes at fresh points."""
     units, label = runs.solver.units, study.model.name
     held: dict[str, _Check] = {}
@@ -193,7 +195,7 @@ def _path_to(target: Path, folder: Path) -> str:
     return Path(os.path.relpath(target, folder.resolve())).as_posix()
 
 
-def _notes(terms: Terms, solved: int) -> tuple[str, ...]:
+def _notes(terms: MatrixTerms, solved: int) -> tuple[str, ...]:
     """How many runs and terms there are, and which parameters act together."""
     groups = "; ".join(" and ".join(sorted(group)) for group in terms.together)
     together = f" These act together: {groups}." if groups else ""
@@ -211,11 +213,11 @@ def _fresh(parameters: Sequence[Parameter]) -> Any:
         }
 
 
-def _model(terms: Terms, parameters: Sequence[Parameter], units: str, name: str) -> StructuralModel:
+def _model(terms: MatrixTerms, parameters: Sequence[Parameter], units: str, name: str) -> StructuralModel:
     return model_of(terms.first, _scaled(terms, parameters, units), parameters, units, name)
 
 
-def _scaled(terms: Terms, parameters: Sequence[Parameter], units: str) -> TermsByKind:
+def _scaled(terms: MatrixTerms, parameters: Sequence[Parameter], units: str) -> TermsByKind:
     """The terms by name, over the parameters themselves instead of their factors on the nominal values."""
     nominal = {p.name: p.value * p.si_factor / SYSTEMS[units].unit_of(p) for p in parameters}
     out: dict[Any, dict[str, tuple[Any, Any]]] = {}

@@ -323,11 +323,11 @@ class Study:
         Where an explanation has fitted these effects, the calibration of the new study starts at its fit.
         """
         from calib.analyses.explained_fit import explained_fit
-        from calib.analyses.extend import extend
+        from calib.analyses.extend import write_extension
 
         chosen = list(effects)
         begin_at = explained_fit(self.loaded, places.results_of(self.loaded, self.results), chosen)
-        written = extend(self.loaded, chosen, path_of(into, "into"), begin_at)
+        written = write_extension(self.loaded, chosen, path_of(into, "into"), begin_at)
         self.listener.extended(written)
         return replace(self, path=written.file, results=places.root_for(written.file, self.results), read=None)
 

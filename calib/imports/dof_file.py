@@ -38,7 +38,7 @@ def read_dofs(file: Path) -> pd.DataFrame:
         raise InputError("there is no such file", place=file, remedy="check the path")
     lines = [line.strip() for line in file.read_text("latin-1").replace("\ufeff", "").replace("ï»¿", "").splitlines()]
     if is_mapping(lines):
-        return table_of(read_mapping(file, lines))
+        return table_of_dofs(read_mapping(file, lines))
     kept = [line for line in lines if line and line[0] not in "#*%"]
     if not kept:
         raise InputError("it names no rows", place=file, remedy="give a table node, direction")
@@ -85,7 +85,7 @@ def _packed(file: Path, cells: list[str]) -> pd.DataFrame:
     return pd.DataFrame([(int(one[1]), int(one[2])) for one in found if one is not None], columns=list(COLUMNS))
 
 
-def table_of(labels: np.ndarray) -> pd.DataFrame:
+def table_of_dofs(labels: np.ndarray) -> pd.DataFrame:
     """Rows named by node and direction, (n, 2) int, as a table; what is no motion of a node has none."""
     node, direction = labels.T
     named = (node > 0) & (direction >= 1) & (direction <= 6)

@@ -72,7 +72,7 @@ def elements(text: str) -> Iterator[Element]:
         yield from _nastran(text)
 
 
-def element_edges(text: str) -> list[Edge]:
+def read_edges(text: str) -> list[Edge]:
     """Edges between nodes of all elements that have any, each once, in the order of the deck.
 
     Midside nodes of beams are their nodes, those of shells and solids are passed over.
@@ -81,7 +81,7 @@ def element_edges(text: str) -> list[Edge]:
 
 
 def edges_of(found: Iterable[Element]) -> list[Edge]:
-    """As `element_edges`, of elements that were read."""
+    """As `read_edges`, of elements that were read."""
     pairs = ((one.nodes[i], one.nodes[j]) for one in found for i, j in one.edges)
     return list(dict.fromkeys((min(pair), max(pair)) for pair in pairs if pair[0] != pair[1]))
 

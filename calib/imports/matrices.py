@@ -15,15 +15,15 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
-from calib.imports.dof_file import read_dofs, table_of
-from calib.imports.elements import edges_of, element_edges, element_sets, held_motions, sets_of
+from calib.imports.dof_file import read_dofs, table_of_dofs
+from calib.imports.elements import edges_of, element_sets, held_motions, read_edges, sets_of
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.keywords import deck_text, with_included
 from calib.imports.meshes import MESHES, has_elements, read_element_mesh
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
-from calib.imports.stored import Stored, counted_from_one, named, numbers_of, spread
+from calib.imports.stored import Stored, counted_from_one, named, spread, stored_numbers
 from calib.imports.systems import all_motions, analysis_set, axes_of, is_bulk, turned_into_global
 from calib.measurement.files.read import UFF_SUFFIXES
 from calib.measurement.places import Point
@@ -204,14 +204,14 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> tuple[list[S
             "its form is unknown", place=file, remedy="give matrices in a form of the page on finite-element codes"
         )
     name = {".sti": "stiffness", ".mas": "mass"}.get(file.suffix.lower(), file.stem)
-    table = numbers_of(text, (3, 5), file)
+    table = stored_numbers(text, (3, 5), file)
     if table.shape[1] == 3:
         return [counted_from_one(name, table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], file)], ()
     labels = table[:, :4].astype(int)
     return [named(name, labels[:, :2], labels[:, 2:], table[:, 4], file)], ()
 
 
-def kind_of(name: str) -> str:
+def matrix_kind(name: str) -> str:
     """What a matrix is, by the longest word in its name that tells it; empty where none does."""
     words = re.findall(r"[a-z]+\d*[a-z]*", name.lower())
     for word in sorted(words, key=len, reverse=True):
@@ -242,7 +242,7 @@ def _sorted_out(
     for one, _, file in called:
         if id(one) in taken:
             continue
-        kind_found = kind_of(one.name) or kind_of(file.stem)
+        kind_found = matrix_kind(one.name) or matrix_kind(file.stem)
         if kind_found in KINDS and not chosen.get(kind_found):
             known: Kind = kind_found
             if one.name in out[known]:
@@ -270,7 +270,7 @@ def _rows(
         is_all = any("GG" in one.name.upper() for one in flat)
         for words, listed in of_deck.items():
             if len(listed) == size and (is_all or words == next(iter(of_deck))):
-                return table_of(listed), (f"The {size} rows are {words} of the deck.",)
+                return table_of_dofs(listed), (f"The {size} rows are {words} of the deck.",)
         other = "".join(f"; {len(listed)} are {words} of the deck" for words, listed in of_deck.items())
         raise InputError(
             f"no file names their {size} rows{other}", place="matrices",
@@ -278,7 +278,7 @@ def _rows(
         )  # fmt: skip
     alike = all(np.array_equal(one, labels[0]) for one in labels[1:])
     joined = labels[0] if alike else np.unique(np.concatenate(labels), axis=0)
-    table = table_of(joined)
+    table = table_of_dofs(joined)
     table.attrs["labels"] = joined
     if dofs is None:
         return table, ()
@@ -375,7 +375,7 @@ def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[tuple[int, int
         of_sets, all_edges = sets_of(mesh.elements, mesh.groups), edges_of(mesh.elements)
     else:
         text = deck_text(file)
-        of_sets, all_edges = element_sets(text), element_edges(text)
+        of_sets, all_edges = element_sets(text), read_edges(text)
     sets = {name: tuple(sorted(own & nodes)) for name, own in of_sets.items()}
     edges = tuple(edge for edge in all_edges if nodes.issuperset(edge)) if "x" in table else ()
     return edges, {name: own for name, own in sets.items() if own}

@@ -30,7 +30,7 @@ Sums = dict[Kind, sp.csr_array]
 
 
 @dataclass(frozen=True, eq=False)
-class Terms:
+class MatrixTerms:
     """Matrices as sums of terms, each multiplied by powers of parameters over their nominal values.
 
     Attributes
@@ -55,7 +55,7 @@ class Terms:
         """Terms of all matrices."""
         return sum(map(len, self.matrices.values()))
 
-    def without(self, names: Iterable[str]) -> Terms:
+    def without(self, names: Iterable[str]) -> MatrixTerms:
         """The same with some parameters held at their nominal values."""
         held = set(names)
         out: dict[Kind, dict[Powers, sp.csr_array]] = {}
@@ -64,7 +64,7 @@ class Terms:
             for powers, matrix in terms.items():
                 left = tuple((name, power) for name, power in powers if name not in held)
                 own[left] = own[left] + matrix if left in own else matrix
-        return Terms(self.first, out, self.runs, tuple(group for group in self.together if not group & held))
+        return MatrixTerms(self.first, out, self.runs, tuple(group for group in self.together if not group & held))
 
 
 @dataclass
@@ -119,7 +119,7 @@ def terms_of_runs(
     parameters: Sequence[Parameter],
     powers: Mapping[str, Sequence[int]],
     told: Callable[[int], None] = lambda done: None,
-) -> Terms:
+) -> MatrixTerms:
     r"""Terms of stiffness, mass and damping from runs at wide values of the parameters.
 
     With the factors :math:`x_i` on the nominal values a matrix is the sum of what each set S of parameters changes
@@ -165,7 +165,7 @@ def terms_of_runs(
     assert runs.first is not None
     kept = {kind: _without_rounding(terms, largest[kind]) for kind, terms in found.items()}
     together = tuple(group for group in active if len(group) > 1)
-    return Terms(runs.first, kept, len(runs.done), together)
+    return MatrixTerms(runs.first, kept, len(runs.done), together)
 
 
 def wide_factors(count: int) -> list[float]:

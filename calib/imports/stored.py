@@ -121,7 +121,7 @@ def spread(stored: Stored, labels: np.ndarray) -> Stored:
     return Stored(stored.name, sp.coo_array((coo.data, (at[coo.row], at[coo.col])), shape=(len(labels),) * 2), labels)
 
 
-def numbers_of(text: str, count: Sequence[int], place: Path) -> np.ndarray:
+def stored_numbers(text: str, count: Sequence[int], place: Path) -> np.ndarray:
     """A table of numbers between blanks or commas, (n_rows, n_columns), without lines that begin with ``*`` or ``#``.
 
     Raises

@@ -17,7 +17,7 @@ from calib.problem.prior import Prior
 from calib.problem.sampling import sample
 
 
-def calibrated(fits: Refits, start: Mapping[str, float] | None, only: bool = False) -> CandidateFit:
+def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = False) -> CandidateFit:
     """The base model, fitted from a start, or from the nominal values and from a linear solution, if any.
 
     A start that is an optimum, such as the fit of a calibration, is the base fit: its search is not repeated, and its

@@ -10,7 +10,7 @@ from typing import NamedTuple
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale, predicted_scale, predicts
-from calib.missing.base_fit import calibrated, from_further_points, nested
+from calib.missing.base_fit import fitted_base, from_further_points, nested
 from calib.missing.blame import blamed, fault_first, ln_of, mistakable, tests_of, with_competing, with_faults
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.collinear import Group, grouped
@@ -96,7 +96,7 @@ class _Decision:
         """
         fits, hypotheses, alpha = self.fits, self.fits.hypotheses, self.fits.settings.alpha
         only = bool(starts) or rebased > 0 or bool(fits.granted)
-        base = fits.finished(calibrated(fits, starts.get(()) or begin, only))
+        base = fits.finished(fitted_base(fits, starts.get(()) or begin, only))
         able, named = self.candidates(base)
         adequacy = adequacy_of(fits, base, named)
         better = base if starts or adequacy.passes(alpha) else fits.finished(fits.beside_whole(base))

@@ -12,7 +12,7 @@ import numpy as np
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
-from calib.missing.screened import Screened, screened
+from calib.missing.screened import Screened, screened_candidates
 from calib.problem.candidate import Candidate
 
 
@@ -55,7 +55,7 @@ class FaultFamily:
     def screened(self, fit: LinearisedFit, without: Collection[str], also: Collection[str] = ()) -> Screened | None:
         """The largest scores of the faults of pairs but some, and those ``also`` named; None where there are none."""
         lacking = [e for name, e in self.pairs.items() if name not in without]
-        return screened(fit, lacking, also) if lacking else None
+        return screened_candidates(fit, lacking, also) if lacking else None
 
     def predicted(self, found: Scores) -> np.ndarray:
         """Log evidence that one step predicts for each column, less the price of a fault of a pair, (m,)."""

@@ -46,7 +46,7 @@ class Screened:
         return float(-ndtri(min(RULES.noise_level / max(self.tests, 1.0), 0.5)))
 
 
-def screened(fit: LinearisedFit, candidates: Sequence[Candidate], also: Collection[str] = ()) -> Screened:
+def screened_candidates(fit: LinearisedFit, candidates: Sequence[Candidate], also: Collection[str] = ()) -> Screened:
     """Score candidates without a grid at a fitted model, and keep the largest; beside them those named in ``also``.
 
     With ``P`` a projector, the score ``z = g^T P r/|P g|`` needs no projected column: ``|P g|^2 = |g|^2 - |Q^T g|^2``

@@ -31,7 +31,7 @@ from calib.report.scene import (
     show_axes,
 )
 from calib.report.style import BLACK, REST, WIDTH, YELLOW
-from calib.report.why import effect_words, wrapped
+from calib.report.why import change_words, wrapped
 
 ALIKE = 0.5
 """Absolute correlation of two signatures from which a local perturbation tells where an effect acts."""
@@ -150,7 +150,7 @@ def _sentences(
     places: pd.DataFrame, name: str, effects: pd.DataFrame | None, acts: pd.DataFrame | None, attempt: bool
 ) -> list[str]:
     """The effect, where it acts by the list, and what is most alike by the data, with marks that cover it."""
-    out, stars, best = [effect_words(name, effects, attempt)], acting(acts, name), most_alike(places, name)
+    out, stars, best = [change_words(name, effects, attempt)], acting(acts, name), most_alike(places, name)
     if len(stars):
         out.append(f"By the list, not by the data, it acts at (m, marked by a star): {listed(stars.tolist(), _NAMED)}.")
     where = alike_words(places, name)

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from scipy import stats
 
 from calib.report import style
-from calib.report.designs import numbers_of
+from calib.report.designs import numeric_columns
 from calib.report.parameters import position
 
 _BINS = 30
@@ -43,7 +43,7 @@ def correlations(
         NaN where fewer than 4 designs have both, or one of them never changes.
     """
     names = list(dict.fromkeys([*rows, *columns]))
-    values = numbers_of(table, names)
+    values = numeric_columns(table, names)
     for name in set(log) & set(names):
         values[name] = np.log10(values[name])
     out = {kind: np.full((len(rows), len(columns)), np.nan) for kind in ("linear", "rank", "quadratic")}
@@ -101,7 +101,7 @@ def histograms_figure(
     labels, log
         As in `calib.report.designs.draw_anthill`; of a logarithmic axis the cells are equally wide on it.
     """
-    values = {name: numbers_of(table, [name])[name].dropna().to_numpy(dtype=float) for name in columns}
+    values = {name: numeric_columns(table, [name])[name].dropna().to_numpy(dtype=float) for name in columns}
     shown = [name for name, own in values.items() if len(own) > 1 and np.ptp(own) > 0][:MOST_PANELS]
     figure, panels = style.new_panels(len(shown), 1.8, 0.6)
     for ax, name in zip(panels.flat, shown, strict=False):
@@ -129,7 +129,7 @@ def draw_history(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         Columns ``case, generation, objective``; designs of no generation are left out.
     ax : Axes, optional
     """
-    known = numbers_of(table, ["generation", "objective"]).assign(case=table["case"].astype(str)).dropna()
+    known = numeric_columns(table, ["generation", "objective"]).assign(case=table["case"].astype(str)).dropna()
     ax = style.own_axes(ax, 3.6)
     for k, (case, own) in enumerate(known.groupby("case", sort=True)):
         by = own.groupby("generation")["objective"]
@@ -165,7 +165,7 @@ def draw_box(table: pd.DataFrame, limits: pd.DataFrame, best: int, ax: Axes | No
     """
     names = [name for name in limits["parameter"] if name in table]
     rows = limits.set_index("parameter").loc[names].reset_index()
-    values = numbers_of(table, names).dropna()
+    values = numeric_columns(table, names).dropna()
     place = np.column_stack([
         position(rows.iloc[[k] * len(values)], values[name]) for k, name in enumerate(names)
     ])  # fmt: skip

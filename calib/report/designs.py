@@ -57,7 +57,7 @@ def draw_anthill(
     InputError
         Where a column is missing or has no two different numbers.
     """
-    values = numbers_of(table, [x, y]).to_numpy()
+    values = numeric_columns(table, [x, y]).to_numpy()
     known = values[np.isfinite(values).all(axis=1)]
     along = np.log10(known, where=[x in log, y in log], out=known.copy())
     ax = style.own_axes(ax, 4.2)
@@ -113,7 +113,7 @@ def draw_parallel(
     InputError
         Where a column is missing.
     """
-    shown = table[numbers_of(table, [*columns, by]).notna().all(axis=1)]
+    shown = table[numeric_columns(table, [*columns, by]).notna().all(axis=1)]
     if len(shown) > MOST_LINES:
         others = np.linspace(best, len(shown) - 1, MOST_LINES - min(best, MOST_LINES)).astype(int)
         shown = shown.iloc[np.unique(np.concatenate([np.arange(min(best, MOST_LINES)), others]))]
@@ -146,7 +146,7 @@ def draw_parallel(
     return ax
 
 
-def numbers_of(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
+def numeric_columns(table: pd.DataFrame, columns: Sequence[str]) -> pd.DataFrame:
     """Columns of numbers; InputError naming one that is missing."""
     for name in columns:
         if name not in table:

@@ -32,7 +32,7 @@ from calib.report.scene import PLACE
 from calib.report.sensitivity import MEASURES, draw_selection, draw_sensitivity
 from calib.report.shapes import mode_shapes_figure
 from calib.report.style import stage_words
-from calib.report.tables import Folder, kind_of, read_results, read_square, read_stages
+from calib.report.tables import Folder, comparison_kind, read_results, read_square, read_stages
 from calib.report.worst import draw_worst
 from calib.results.answer import in_prose
 from calib.results.json_file import read_json
@@ -321,7 +321,7 @@ def _shapes(path: Path) -> pd.DataFrame | None:
 
 
 def _comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or kind_of(path) != "modes":
+    if not path.exists() or comparison_kind(path) != "modes":
         return None
     numbers = ["natural_freq_measured", "natural_freq_model", "freq_error", "mac"]
     return read_results(path, ["mode"], numbers, complete=["natural_freq_measured"], unique="mode")
@@ -333,7 +333,7 @@ def _there(folder: Folder, name: str, stages: Sequence[str]) -> tuple[str, ...]:
 
 
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
-    if not path.exists() or kind_of(path) != "responses":
+    if not path.exists() or comparison_kind(path) != "responses":
         return None
     return read_results(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
 

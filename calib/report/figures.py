@@ -29,7 +29,7 @@ from calib.report.style import (
     Width,
     add_heading,
     content,
-    key_of,
+    picture_key,
     picture_width,
     style,
     take_dollars_literally,
@@ -192,7 +192,7 @@ class Figures:
     def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> tuple[dict[Format, bytes], bool]:
         """Files of a drawing, and whether they are narrow; none where the only one, a PNG, is there already."""
         path, key = self._picture(drawing.name), self._key(drawing, width)
-        if key and tuple(formats) == ("png",) and key_of(path) == key and is_own(path):
+        if key and tuple(formats) == ("png",) and picture_key(path) == key and is_own(path):
             return {}, picture_width(path) == COLUMN
         narrow = self._narrow(drawing) if width == "column" else None
         with style(), upright(self.axes):

@@ -16,7 +16,7 @@ from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, WITH, own_axe
 from calib.report.svg import hover_points
 
 
-class Look(NamedTuple):
+class Marker(NamedTuple):
     """Marker and colour of a stage, its heading above the numbers, and its words in the legend."""
 
     marker: str
@@ -26,19 +26,19 @@ class Look(NamedTuple):
 
 
 STAGE_LOOKS = {
-    "initial": Look("D", PURPLE, "initial", "before any calibration"),
-    "before": Look("s", BEFORE, "before", stage_words("before")),
-    "after": Look("o", AFTER, "after", stage_words("after")),
+    "initial": Marker("D", PURPLE, "initial", "before any calibration"),
+    "before": Marker("s", BEFORE, "before", stage_words("before")),
+    "after": Marker("o", AFTER, "after", stage_words("after")),
 }
 """Stages of ``modes.csv``."""
 
 
-def stages_of_added(effects: str) -> dict[str, Look]:
+def stages_of_added(effects: str) -> dict[str, Marker]:
     """Stages of ``added_modes.csv``, where effects of these names were added."""
     return {
-        "initial": Look("s", BEFORE, "nominal", stage_words("before", effects)),
-        "before": Look("o", AFTER, "without", stage_words("after", effects)),
-        "after": Look("D", WITH, "with", stage_words("added", effects)),
+        "initial": Marker("s", BEFORE, "nominal", stage_words("before", effects)),
+        "before": Marker("o", AFTER, "without", stage_words("after", effects)),
+        "after": Marker("D", WITH, "with", stage_words("added", effects)),
     }
 
 
@@ -46,7 +46,7 @@ _WIDE, _NARROW, _GAP = 42.0, 36.0, 12.0
 """Widths of a column of frequencies and of MAC, and the gap between the two, in points."""
 
 
-def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Look] = STAGE_LOOKS) -> Axes:
+def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapping[str, Marker] = STAGE_LOOKS) -> Axes:
     """Draw the error of every frequency at every stage, with frequencies and MAC written beside it.
 
     Parameters

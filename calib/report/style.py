@@ -263,7 +263,7 @@ def content(figure: Figure, name: str, formats: Sequence[Format], key: str = "")
     """Content of a picture's file in each format.
 
     Dollar signs in names are literal. A note is added where no font has a character of a name. A PNG bears the key of
-    what it shows, which `key_of` reads.
+    what it shows, which `picture_key` reads.
     """
     take_dollars_literally(figure)
     files: dict[Format, bytes] = {}
@@ -282,7 +282,7 @@ _KEY = "Source"
 """Entry of a PNG with the key of what it shows."""
 
 
-def key_of(path: Path) -> str:
+def picture_key(path: Path) -> str:
     """The key that a PNG bears; empty for any other file."""
     try:
         with Image.open(path) as picture:

@@ -84,7 +84,7 @@ def without_stage(name: str) -> str:
     return name
 
 
-def key_of(name: str) -> tuple[str, ...]:
+def unique_columns(name: str) -> tuple[str, ...]:
     """Columns that identify a row of a table; empty where rows may be equal."""
     return KEYS.get(without_stage(name), ())
 
@@ -100,7 +100,7 @@ def has_column(path: Path, column: str) -> bool:
 
 def read_results(path: Path, text: Sequence[str], numbers: Sequence[str] = (), **more: Any) -> pd.DataFrame:
     """Read a table as `calib.results.table.read_table` does, with rows unique by their `KEYS`, in each test."""
-    key = key_of(path.stem)
+    key = unique_columns(path.stem)
     more.setdefault("unique", (TEST, *key) if key and TEST not in key and has_column(path, TEST) else key)
     return table.read_table(path, text, numbers, **more)
 
@@ -128,7 +128,7 @@ _NUMBERS = {
 """Columns of each table of FRFs by its name without the stage."""
 
 
-def kind_of(path: Path) -> Kind:
+def comparison_kind(path: Path) -> Kind:
     """Kind of the data in a table of a measurement or a comparison."""
     if not has_column(path, "response"):
         return "modes"
@@ -140,7 +140,7 @@ def read_stages(folder: Folder, name: str, stages: Iterable[str]) -> dict[str, p
     found = {}
     for stage in stages:
         path = folder / f"{name}_{stage}.csv"
-        if path.exists() and (name != "comparison" or kind_of(path) == "frf"):
+        if path.exists() and (name != "comparison" or comparison_kind(path) == "frf"):
             found[stage] = read_results(path, _TEXT[name], _NUMBERS[name])
     return found
 

@@ -293,7 +293,7 @@ def further_parameters(parameters: pd.DataFrame | None, effect: str) -> list[str
     ]
 
 
-def effect_words(name: str, effects: pd.DataFrame | None, attempt: bool) -> str:
+def change_words(name: str, effects: pd.DataFrame | None, attempt: bool) -> str:
     """An effect with its title and magnitude, where its row of ``effects`` is known, and whether it is believed."""
     words = name
     if effects is not None and name in set(effects["name"]):
@@ -316,7 +316,7 @@ def _heading(
 ) -> str:
     """Effect with its magnitude and further parameters, and the share that it explains."""
     name = str(own["effect"].iloc[0])
-    sentences = [effect_words(name, effects, attempt), *further_parameters(parameters, name)]
+    sentences = [change_words(name, effects, attempt), *further_parameters(parameters, name)]
     sentences.append(f"{explained_words(own, by_test)}.")
     return wrapped(sentences)
 

@@ -175,7 +175,7 @@ class ModalFunctionModel(Short):
         return found if count >= found.n_modes else found.subset(range(count))
 
     def numbers(self, values: Mapping[str, float]) -> dict[str, float]:
-        """All modes as named numbers (see `numbers_of`), solved anew whatever is cached.
+        """All modes as named numbers (see `mode_numbers`), solved anew whatever is cached.
 
         Values of other names are passed on: the function may accept the parameters of effects.
         """

@@ -22,8 +22,8 @@ from calib.report.html import space
 from calib.report.html.study_results import StudyResults
 from calib.results.results import json_value
 from calib.study.study_file import StudyFile
-from calib.workbench.correlation import correlation
-from calib.workbench.designs import designs
+from calib.workbench.correlation import correlation_view
+from calib.workbench.designs import designs_view
 from calib.workbench.edits import Edits
 from calib.workbench.evaluators import Evaluators
 from calib.workbench.live import Live
@@ -172,7 +172,7 @@ class Workbench:
         own = StudyFile.read(study.file, results.test)
         stated = sorted(own.settings.pairing.override)
         found = {"undo": self.edits.last(own), "test": results.test, "stated": stated}
-        return {"correlation": correlation(results), **found}
+        return {"correlation": correlation_view(results), **found}
 
     def _measurement(self, request: Request) -> Any:
         results, study = self._of_one(request), self._study(request)
@@ -274,7 +274,7 @@ class Workbench:
             own = stamp_of(study, StudyFile.read(study.file)), request.query_params.get("evaluated", "")
             with self._reading:
                 if self._designs_known[0] != (study.key, part, own):
-                    text = designs(study.file, study.root, part if part in study.parts else "")
+                    text = designs_view(study.file, study.root, part if part in study.parts else "")
                     self._designs_known = (study.key, part, own), text
                 return self._designs_known[1]
 

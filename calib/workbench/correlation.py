@@ -14,7 +14,7 @@ _MODEL = re.compile(r"(\d+)(?: \((.+) Hz\))?")
 """Header of a column of the MAC: number of the model mode and its frequency."""
 
 
-def correlation(results: StudyResults) -> dict[str, Any] | None:
+def correlation_view(results: StudyResults) -> dict[str, Any] | None:
     """Measured modes against those of the model; None for a study of other data, or before its comparison.
 
     Returns

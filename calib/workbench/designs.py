@@ -20,7 +20,7 @@ _SHARES = ("mean_error",)
 """Columns that are told in percent, beside the errors of responses."""
 
 
-def designs(file: Path, root: Path, part: str) -> bytes:
+def designs_view(file: Path, root: Path, part: str) -> bytes:
     """The designs of a study as JSON; InputError where it cannot be read, or nothing was evaluated.
 
     Keys: ``count`` of designs, ranked, the best first; ``design``, ``case`` of each (a number of ``cases``), ``status``
@@ -40,7 +40,7 @@ def designs(file: Path, root: Path, part: str) -> bytes:
 
 
 def columns(found: Any) -> dict[str, Any]:
-    """The content of `designs` from a `calib.analyses.designs.Designs`."""
+    """The content of `designs_view` from a `calib.analyses.designs.Designs`."""
     table, space = found.table, found.space
     outputs = [name if f"error {name}" not in table else f"error {name}" for name in found.outputs]
     names = [

@@ -25,7 +25,7 @@ _LOOKS = 5.0
 """Seconds between two looks for such processes."""
 
 
-class Evaluator:
+class ReducedEvaluator:
     """A process with the model of one test; see `calib.workbench.what_if`.
 
     Parameters
@@ -106,11 +106,11 @@ class Evaluators:
     """The processes of all pages, at most a few; one whose study has changed, or that nobody asks, is ended."""
 
     def __init__(self) -> None:
-        self._known: dict[tuple[str, ...], Evaluator] = {}
+        self._known: dict[tuple[str, ...], ReducedEvaluator] = {}
         self._lock = threading.Lock()
         self._watching = False
 
-    def of(self, place: tuple[str, ...], arguments: tuple[str, ...], stamp: Any) -> Evaluator:
+    def of(self, place: tuple[str, ...], arguments: tuple[str, ...], stamp: Any) -> ReducedEvaluator:
         """The process of a place of the page, started where there is none.
 
         One that failed before it was ready stays while ``stamp`` does. ``arguments`` are as in
@@ -123,14 +123,14 @@ class Evaluators:
                 self._drop(place)
                 while len(self._known) >= _MOST:
                     self._drop(min(self._known, key=lambda key: self._known[key].touched))
-                known = self._known[place] = Evaluator(arguments, stamp)
+                known = self._known[place] = ReducedEvaluator(arguments, stamp)
                 if not self._watching:
                     self._watching = True
                     threading.Thread(target=self._watch, daemon=True).start()
             known.touched = time.monotonic()
             return known
 
-    def ready(self, place: tuple[str, ...]) -> Evaluator:
+    def ready(self, place: tuple[str, ...]) -> ReducedEvaluator:
         """The same as it is, for an answer without delay; InputError where it is not ready."""
         with self._lock:
             known = self._known.get(place)

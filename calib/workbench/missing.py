@@ -61,7 +61,7 @@ def missing(results: StudyResults) -> dict[str, Any] | None:
 
 def _ranked(results: StudyResults, table: pd.DataFrame) -> list[dict[str, Any]]:
     """Every effect of the library, the strongest evidence first."""
-    magnitudes, least = effects.magnitudes(table), effects.smallest_visible_magnitudes(table)
+    magnitudes, least = effects.magnitude_cells(table), effects.smallest_visible_magnitudes(table)
     remarks, unseen = effects.remarks(table), effects.unseen(table)
     acts = effects.places_of_effects(results, table) or [""] * len(table)
     return [

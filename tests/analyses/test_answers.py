@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.answers import NAMED, UNTRIED, listed, of_comparison, of_fit, of_sensitivity, screening_answer
+from calib.analyses.answers import NAMED, UNTRIED, enumerated, of_comparison, of_fit, of_sensitivity, screening_answer
 from calib.correlation.modal.comparison import BEYOND, UNKNOWN, WITHIN
 
 
@@ -133,7 +133,7 @@ def test_a_screening_ranks_by_the_largest_effect():
 @pytest.mark.parametrize("count", [0, 1, NAMED, NAMED + 1, NAMED + 5])
 def test_of_many_names_the_first_are_told_and_the_others_counted(count):
     names = [f"n{k}" for k in range(count)]
-    told = listed(names)
+    told = enumerated(names)
     assert sum(name in told for name in names) == min(count, NAMED) and (f"{count - NAMED} more" in told) == (
         count > NAMED
     )

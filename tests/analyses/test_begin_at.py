@@ -10,7 +10,7 @@ import pytest
 from calib.analyses.calibrate import calibrate
 from calib.analyses.case import CaseFinder
 from calib.analyses.explained_fit import explained_fit, explained_fits
-from calib.analyses.extend import extend
+from calib.analyses.extend import write_extension
 from calib.analyses.provenance.record import write_record
 from calib.errors.errors import InputError
 from calib.report.html.study_results import StudyResults
@@ -191,7 +191,10 @@ def test_a_calibration_begins_where_an_explanation_ended_and_never_ends_above(gu
     base, chosen = told.explanation.base.fit, told.explanation.chosen.fit
     start = explained_fit(study, results)
     assert start == pytest.approx({name: base.values[name] for name in study.search_space.free_names})
-    for one, state in ((study, base), (LoadedStudy.load(extend(study, ["guy"], tmp_path / "mast_guy").file), chosen)):
+    for one, state in (
+        (study, base),
+        (LoadedStudy.load(write_extension(study, ["guy"], tmp_path / "mast_guy").file), chosen),
+    ):
         own = Results.at(tmp_path / "results", one.name)
         assert explained_fit(one, own) == pytest.approx({n: state.values[n] for n in one.search_space.free_names})
         with Ledger.open(own.path / "ledger.sqlite") as ledger:
@@ -211,7 +214,7 @@ def test_a_fit_by_an_explanation_of_another_state_is_not_a_start(guyed, tmp_path
     results = Results.at(tmp_path / "results", "mast")
     results.write_table("explained_fits", explained_fits(own, told.explanation))
     write_record(own, results, "explain", {})
-    wider = LoadedStudy.load(extend(own, ["guy"], tmp_path / "mast_guy").file)
+    wider = LoadedStudy.load(write_extension(own, ["guy"], tmp_path / "mast_guy").file)
     beside = Results.at(tmp_path / "results", "mast_guy")
     assert explained_fit(own, results) and explained_fit(wider, beside)
     modes = pd.read_csv(tmp_path / "mast" / "modes.csv", comment="#")

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.extend import extend
+from calib.analyses.extend import write_extension
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.study.study import LoadedStudy
@@ -24,7 +24,7 @@ def refusal(tree):
         before = {p for p in Path().iterdir()}
         old = tree(study)
         with pytest.raises(InputError) as caught:
-            extend(LoadedStudy.load(study), [effect], Path(folder))
+            write_extension(LoadedStudy.load(study), [effect], Path(folder))
         assert {p for p in Path().iterdir()} == before and tree(study) == old
         return str(caught.value)
 
@@ -33,7 +33,7 @@ def refusal(tree):
 
 def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
     before = tree(rig)
-    made = extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
+    made = write_extension(LoadedStudy.load(rig), ["top_cables"], Path("new"))
     new, old = LoadedStudy.load(Path("new")), LoadedStudy.load(rig)
     assert tree(rig) == before and made.file == Path("new/study.toml") and set(tree("new")) == {"study.toml"}
     assert settings("new") == {
@@ -50,9 +50,9 @@ def test_the_new_study_is_the_old_one_with_the_effect(rig, tree):
 
 
 def test_an_extended_study_can_be_extended_again(rig):
-    extend(LoadedStudy.load(rig), ["top_cables"], Path("once"))
+    write_extension(LoadedStudy.load(rig), ["top_cables"], Path("once"))
     Path("deeper/down").mkdir(parents=True)
-    extend(LoadedStudy.load(Path("once")), ["low_cables"], Path("deeper/down/twice"))
+    write_extension(LoadedStudy.load(Path("once")), ["low_cables"], Path("deeper/down/twice"))
     twice = LoadedStudy.load(Path("deeper/down/twice"))
     assert twice.settings.with_effects == ("top_cables", "low_cables") and twice.candidates == ()
     assert twice.settings.base == "../../../once"
@@ -62,7 +62,7 @@ def test_an_extended_study_can_be_extended_again(rig):
 
 
 def test_a_change_in_the_base_study_changes_the_extended_one(rig, edited):
-    extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
+    write_extension(LoadedStudy.load(rig), ["top_cables"], Path("new"))
     before = LoadedStudy.load(Path("new")).measured.natural_freq[0]
     text = (rig / "measured.csv").read_text()
     assert "15.545" in text
@@ -71,7 +71,7 @@ def test_a_change_in_the_base_study_changes_the_extended_one(rig, edited):
 
 
 def test_several_effects_are_added_at_once(rig):
-    made = extend(LoadedStudy.load(rig), ["top_cables", "low_cables"], Path("new"))
+    made = write_extension(LoadedStudy.load(rig), ["top_cables", "low_cables"], Path("new"))
     new = LoadedStudy.load(Path("new"))
     assert new.settings.with_effects == ("top_cables", "low_cables") and new.settings.title.endswith(
         "rig + top cables + low cables"
@@ -81,7 +81,7 @@ def test_several_effects_are_added_at_once(rig):
 
 
 def test_a_fixed_parameter_of_an_effect_is_not_selected(sums):
-    extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    write_extension(LoadedStudy.load(sums), ["bend"], Path("new"))
     new = LoadedStudy.load(Path("new"))
     assert new.search_space.free_names == ("a", "b", "bend", "bend_at")
     assert new.problem.evaluate({"bend": 0.5, "bend_at": 2.0}) == {"s": 4.0}
@@ -92,14 +92,14 @@ def test_a_selection_by_the_sensitivity_analysis_stays_so(sums, edited):
     text = Path(sums, "study.toml").read_text()
     selection = text[text.index("selection") : text.index("effects")]
     edited(sums, selection, 'selection = "from sensitivity"\n')
-    made = extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    made = write_extension(LoadedStudy.load(sums), ["bend"], Path("new"))
     assert made.selected == () and LoadedStudy.load(Path("new")).settings.selection == "from sensitivity"
     assert "bend" in LoadedStudy.load(Path("new")).search_space.free_names
 
 
 def test_a_study_file_of_another_name_can_be_extended(sums):
     Path("sums/study.toml").rename("sums/other.toml")
-    made = extend(LoadedStudy.load(Path("sums/other.toml")), ["bend"], Path("new"))
+    made = write_extension(LoadedStudy.load(Path("sums/other.toml")), ["bend"], Path("new"))
     assert made.file == Path("new/study.toml") and settings("new")["base"] == "../sums/other.toml"
     assert LoadedStudy.load(made.file).targets == {"s": (3.0, 0.01)}
 
@@ -111,7 +111,7 @@ def test_paths_lead_to_the_same_files_from_every_study(rig, edited):
     edited(rig, '"measured.csv"', '"../shared/measured.csv"')
     edited(rig, '"effects.py:', '"../rig/../shared/code/effects.py:')
     Path("deep").mkdir()
-    extend(LoadedStudy.load(rig), ["top_cables"], Path("deep/new"))
+    write_extension(LoadedStudy.load(rig), ["top_cables"], Path("deep/new"))
     old, new = LoadedStudy.load(rig), LoadedStudy.load(Path("deep/new"))
     assert new.settings.measurement.files == ("../../shared/measured.csv",)
     assert new.measured.fingerprint == old.measured.fingerprint
@@ -119,7 +119,7 @@ def test_paths_lead_to_the_same_files_from_every_study(rig, edited):
 
 def test_absolute_paths_are_kept(sums, here, edited):
     edited(sums, '"data/measured.csv"', f'"{here}/sums/data/measured.csv"')
-    extend(LoadedStudy.load(sums), ["bend"], Path("new"))
+    write_extension(LoadedStudy.load(sums), ["bend"], Path("new"))
     assert LoadedStudy.load(Path("new")).settings.measurement.responses == f"{here}/sums/data/measured.csv"
 
 
@@ -132,7 +132,7 @@ def test_impossible_extensions_are_refused_in_one_sentence(sums, rig, edited, re
     assert "inside the study" in refusal(rig, "top_cables", "rig/new")
     assert "no folder 'nowhere'" in refusal(rig, "top_cables", "nowhere/new")
     assert "taken for a study file" in refusal(rig, "top_cables", "new.toml")
-    extend(LoadedStudy.load(rig), ["top_cables"], Path("new"))
+    write_extension(LoadedStudy.load(rig), ["top_cables"], Path("new"))
     said = refusal(Path("new"), "top_cables", "newer")
     assert "is in the model already; the effects it lacks are low_cables" in said
     edited(sums, 'effects = "model.py:library"\n', "")
@@ -144,7 +144,7 @@ def test_an_invalid_new_study_is_not_written(sums, monkeypatch):
     text = Path("sums/model.py").read_text()
     Path("sums/model.py").write_text(text.replace("def build():", "def build(needed):"))
     with pytest.raises(InputError) as caught:
-        extend(study, ["bend"], Path("new"))
+        write_extension(study, ["bend"], Path("new"))
     said = str(caught.value)
     assert "was not written" in said and ".calib-extend" not in said and {p.name for p in Path().iterdir()} == {"sums"}
     at = caught.value.at
@@ -161,7 +161,7 @@ def test_nothing_half_written_remains(sums, monkeypatch, what, fault):
 
     monkeypatch.setattr(what, fail)
     with pytest.raises(InputError if isinstance(fault, OSError) else KeyboardInterrupt) as caught:
-        extend(study, ["bend"], Path("new"))
+        write_extension(study, ["bend"], Path("new"))
     if isinstance(fault, OSError):
         assert "No space left" in str(caught.value)
     assert {p.name for p in Path().iterdir()} == {"sums"}

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from calib.analyses.extend import EARLIER, extend, extend_among, found_among
+from calib.analyses.extend import EARLIER, extend_among, found_among, write_extension
 from calib.results.written import LOG
 from calib.study.study import LoadedStudy
 
@@ -45,7 +45,7 @@ def test_a_search_is_not_repeated_from_scratch(rig, keys, method):
     study = LoadedStudy.load(rig)
     name = study.search_space.free_names[0]
     for folder, known in (("known", {name: study.search_space.values[name], "top_cables": 0.1}), ("new", {})):
-        made = LoadedStudy.load(extend(study, ["top_cables"], Path(folder), known).file).settings.calibration
+        made = LoadedStudy.load(write_extension(study, ["top_cables"], Path(folder), known).file).settings.calibration
         assert made.method == (method if known else study.settings.calibration.method)
         assert made.begin_at == known and made.refine == study.settings.calibration.refine
 

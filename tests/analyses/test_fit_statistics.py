@@ -8,8 +8,8 @@ from scipy import stats
 
 from calib.analyses.calibrate import calibrate
 from calib.analyses.explain import explain
-from calib.analyses.extend import extend
-from calib.analyses.fit_statistics import Terms, fit_problem, statistics_at
+from calib.analyses.extend import write_extension
+from calib.analyses.fit_statistics import ObjectiveTerms, fit_problem, statistics_at
 from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.study import LoadedStudy
@@ -95,7 +95,7 @@ def test_two_values_that_two_unknowns_cannot_reach_do_not_fit(line):
 def test_calibration_and_explanation_agree_after_an_extension(guyed, tmp_path):
     """The explanation of the extended study finds nothing more."""
     study = guyed[0]
-    file = extend(study, ["guy"], tmp_path / "mast_guy").file
+    file = write_extension(study, ["guy"], tmp_path / "mast_guy").file
     extended = LoadedStudy.load(file)
     results = Results.at(tmp_path / "results", extended.name)
     found = explain(extended, results).explanation
@@ -174,6 +174,6 @@ def test_without_a_fit_no_datum_is_suspected(line, tmp_path):
     assert found.best.statistics.suspects["what"][0] == "y_5"
     study = LoadedStudy.load(tmp_path / "line")
     with Ledger.open(tmp_path / "other.sqlite") as ledger:
-        beside = statistics_at(fit_problem(study, ledger), Terms.of(study), found.best.statistics.values)
+        beside = statistics_at(fit_problem(study, ledger), ObjectiveTerms.of(study), found.best.statistics.values)
     assert beside.p_fit == pytest.approx(found.best.statistics.p_fit) and beside.fits is False
     assert beside.suspects.empty

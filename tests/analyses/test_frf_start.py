@@ -9,7 +9,7 @@ import pytest
 import scipy.sparse as sp
 
 import calib
-from calib.analyses.fit_statistics import Terms
+from calib.analyses.fit_statistics import ObjectiveTerms
 from calib.analyses.least_squares import fitted
 from calib.correlation.frf.nuisance import ChannelError
 from calib.hypotheses.linear_start import linear_start, linear_starts
@@ -34,7 +34,7 @@ def start_of(problem):
 
 
 def fit_from(problem, point):
-    return fitted(problem.fit_problem, Terms(), [point], 40)
+    return fitted(problem.fit_problem, ObjectiveTerms(), [point], 40)
 
 
 @pytest.fixture(scope="module")

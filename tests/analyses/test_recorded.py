@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.analyses.fit_statistics import Terms, fit_problem
+from calib.analyses.fit_statistics import ObjectiveTerms, fit_problem
 from calib.analyses.least_squares import fitted
 from calib.analyses.provenance.recorded import RecordedFunction
 from calib.correlation.modal.problem import ModalProblem
@@ -77,7 +77,9 @@ def test_modes_are_solved_once_and_not_again_in_the_next_run(tmp_path, solved):
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
             solved.clear()
             counts = Counts()
-            found.append((fitted(fit_problem(study, ledger, counts=counts), Terms.of(study), starts, 1), counts))
+            found.append(
+                (fitted(fit_problem(study, ledger, counts=counts), ObjectiveTerms.of(study), starts, 1), counts)
+            )
             assert (
                 sum(solved.values()) <= ledger.count(study.problem.fingerprint) + 1
             )  # and the modes of the predictions

@@ -5,7 +5,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from calib.analyses.extend import extend
+from calib.analyses.extend import write_extension
 from calib.analyses.provenance.record import write_record
 from calib.analyses.versions import COLUMNS, write_versions
 from calib.results.results import Results
@@ -19,8 +19,8 @@ GROUPS = ("fit", "left_out", "held_out_sensors")
 def chain(mast, tmp_path):
     """A study, and two successive extensions by one effect each."""
     first = LoadedStudy.load(mast.write_study(tmp_path / "mast"))
-    second = LoadedStudy.load(extend(first, ["platform"], tmp_path / "mast_2").file)
-    third = LoadedStudy.load(extend(second, ["guy"], tmp_path / "mast_3").file)
+    second = LoadedStudy.load(write_extension(first, ["platform"], tmp_path / "mast_2").file)
+    third = LoadedStudy.load(write_extension(second, ["guy"], tmp_path / "mast_3").file)
     return first, second, third
 
 
@@ -112,7 +112,7 @@ def test_a_base_study_with_the_same_effects_is_not_a_version(chain, answered, tm
 def test_an_earlier_version_may_be_a_study_file_of_another_name(mast, tmp_path):
     folder = mast.write_study(tmp_path / "mast")
     (folder / "study.toml").rename(folder / "second.toml")
-    new = LoadedStudy.load(extend(LoadedStudy.load(folder / "second.toml"), ["guy"], tmp_path / "mast_2").file)
+    new = LoadedStudy.load(write_extension(LoadedStudy.load(folder / "second.toml"), ["guy"], tmp_path / "mast_2").file)
     for name in ("mast", "mast_2"):
         answers(tmp_path / "results", name, 5.0)
     root = tmp_path / "results"

@@ -5,14 +5,14 @@ from pathlib import Path
 import pytest
 
 from calib.imports.coordinates import read_coordinates
-from calib.imports.elements import element_edges, element_sets, elements, held_motions
+from calib.imports.elements import element_sets, elements, held_motions, read_edges
 from calib.imports.matrices import read_matrices
 
 EXPORTS = Path(__file__).parent / "exports"
 
 
 def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
-    edges = element_edges((EXPORTS / "solid.inp").read_text())
+    edges = read_edges((EXPORTS / "solid.inp").read_text())
     assert len(edges) == len(set(edges)) == 12 + 8  # two bricks that share four edges
     drawn = read_matrices([EXPORTS / "solid.sti"]).lines
     assert len(drawn) == 4 + 4 + 4 and set(drawn) < set(edges)  # without those of the clamped end
@@ -34,7 +34,7 @@ def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
     ],
 )  # fmt: skip
 def test_edges_of_each_kind_of_element(text, count, some):
-    edges = element_edges(text)
+    edges = read_edges(text)
     assert len(edges) == count and (some is None or some in edges)
 
 
@@ -59,7 +59,7 @@ def test_a_database_of_ansys_has_nodes_elements_and_components():
     text, points = file.read_text("latin-1"), read_coordinates(file, 2.0)
     assert len(points) == 321 and max(points.values(), key=lambda p: p[2])[2] == 10.0
     assert points[2] == (2.0, 0.0, 0.0)  # zeros at the end of its line are not written
-    assert len(list(elements(text))) == 40 and len(element_edges(text)) == 90 + 132  # 2 x 2 x 10 bricks
+    assert len(list(elements(text))) == 40 and len(read_edges(text)) == 90 + 132  # 2 x 2 x 10 bricks
     sets = element_sets(text)
     assert {name: len(nodes) for name, nodes in sets.items()} == {"ECOMP1": 190, "ECOMP2": 190}
     assert min(points[node][2] for node in sets["ECOMP1"]) == 4.0  # bricks 17, 18 and 21 to 40, 0.5 high before scaling

@@ -14,7 +14,7 @@ import scipy.sparse as sp
 
 import calib
 from calib.errors.errors import InputError
-from calib.imports.matrices import kind_of, read_matrices
+from calib.imports.matrices import matrix_kind, read_matrices
 
 EXPORTS = Path(__file__).parent / "exports"
 
@@ -164,7 +164,7 @@ def test_every_form_gives_the_matrices_and_the_names_of_their_rows(form, tmp_pat
      ("BAAX", "damping"), ("job_DMPV2", "damping"), ("C", "damping"), ("front_c", ""), ("foo", "")],
 )  # fmt: skip
 def test_names_tell_what_a_matrix_is(name, kind):
-    assert kind_of(name) == kind
+    assert matrix_kind(name) == kind
 
 
 def test_tables_among_the_files_name_rows_and_places(tmp_path):

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.analyses.fit_statistics import Terms, fit_problem, statistics_at
+from calib.analyses.fit_statistics import ObjectiveTerms, fit_problem, statistics_at
 from calib.errors.errors import InputError
 from calib.inference.identify import faults, identify, needed_std
 from calib.inference.verdicts import parameter_verdicts
@@ -78,7 +78,7 @@ def test_wider_limits_of_the_search_leave_the_bogies_identified_parameters_as_th
         space = search_space(study.sensitivity_space, StudySettings.model_validate(keys), study.place)
         one = replace(study, search_space=space)
         with Ledger.open(tmp_path / "ledger.sqlite") as ledger:
-            found = statistics_at(fit_problem(one, ledger), Terms.of(one), at)
+            found = statistics_at(fit_problem(one, ledger), ObjectiveTerms.of(one), at)
         found = replace(found, p_fit=1.0)  # of a rejected fit none is identified, whatever the limits
         return found.verdicts(space, {}).set_index("parameter").loc[[n for n in at if not n.startswith("pos_")]]
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.fit_statistics import Terms, statistics_at
+from calib.analyses.fit_statistics import ObjectiveTerms, statistics_at
 from calib.correlation.frf.nuisance import ChannelError
 from calib.hypotheses.linear_start import estimate_by_equations, linear_estimate, linear_start
 from calib.inference.considered import At
@@ -128,7 +128,7 @@ def test_the_model_is_tested_anywhere_within_the_estimate():
 def test_a_model_that_is_right_is_told_to_fit_with_the_wider_standard_deviations(frfs):
     posed = problem_of(frfs, [ChannelError("gain", "3x", prior_sd=2.0)])
     found = estimate_by_equations(posed, posed.space.values)
-    own, plain = (statistics_at(posed, Terms(), found.values, None, e) for e in (found, None))
+    own, plain = (statistics_at(posed, ObjectiveTerms(), found.values, None, e) for e in (found, None))
     std, narrow = (
         dict(zip(s.identification.posterior.names, s.identification.posterior.std, strict=True)) for s in (own, plain)
     )

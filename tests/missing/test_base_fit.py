@@ -8,7 +8,7 @@ import pytest
 from calib.execution.stage import silent
 from calib.missing import decision
 from calib.missing.adequacy import adequacy_of, overstated
-from calib.missing.base_fit import calibrated, from_further_points, nested
+from calib.missing.base_fit import fitted_base, from_further_points, nested
 from calib.missing.decision import decide
 from calib.missing.goodness import goodness
 from calib.missing.refits import Refits
@@ -54,7 +54,7 @@ def of(one):
 
 
 def test_the_base_fit_is_trapped(trapped):
-    base = calibrated(of(trapped), None)
+    base = fitted_base(of(trapped), None)
     assert abs(base.fit.values["P0"] - TRUTH["P0"]) > 1.0 and base.fit.misfit > 5 * len(trapped.rows)
 
 
@@ -66,7 +66,7 @@ def test_a_trapped_base_fit_does_not_make_an_effect(trapped):
 
 def test_from_a_larger_model_the_base_model_reaches_what_it_contains(trapped):
     fits = of(trapped)
-    base = calibrated(fits, None)
+    base = fitted_base(fits, None)
     there = fits.candidate_fit(("E1",), {**trapped.fit_problem(("E1",)).space.values, **TRUTH})
     better = nested(fits, base, there)
     assert better.names == () and better.fit.misfit < base.fit.misfit - 500
@@ -76,14 +76,14 @@ def test_from_a_larger_model_the_base_model_reaches_what_it_contains(trapped):
 
 def test_further_points_lead_out_of_a_valley(trapped):
     fits = of(trapped)
-    base = calibrated(fits, None)
+    base = fitted_base(fits, None)
     better, tried = from_further_points(fits, base)
     assert better.fit.misfit < 1.5 * len(trapped.rows) and 1 <= tried <= RULES.base_starts
 
 
 def test_further_points_that_agree_end_the_search(toy):
     fits = of(toy().drawn(np.random.default_rng(1), {"E1": 3.0}))
-    base = calibrated(fits, None)
+    base = fitted_base(fits, None)
     same, tried = from_further_points(fits, base)
     assert same is base and 1 < tried < RULES.base_starts
 
@@ -105,19 +105,19 @@ def test_a_poor_calibration_is_no_better_than_the_nominal_values(toy):
     """The better of both counts: a search may have ended anywhere."""
     one = dressed(rippled(toy)).drawn(np.random.default_rng(1), {"P0": 0.2, "P1": 0.2, "P2": 0.1})
     fits = of(one)
-    poor, good = calibrated(fits, {**one.base.values, "P0": 1.8}, only=True), calibrated(fits, None)
+    poor, good = fitted_base(fits, {**one.base.values, "P0": 1.8}, only=True), fitted_base(fits, None)
     assert poor.fit.misfit > good.fit.misfit + 500
-    assert calibrated(fits, {**one.base.values, "P0": 1.8}).fit.misfit == pytest.approx(good.fit.misfit, abs=0.1)
+    assert fitted_base(fits, {**one.base.values, "P0": 1.8}).fit.misfit == pytest.approx(good.fit.misfit, abs=0.1)
 
 
 def test_an_optimum_is_the_base_fit_though_the_model_is_rejected(toy):
     """The fit of a calibration costs the confirmation that it is one, whatever the model lacks."""
     one = dressed(rippled(toy)).drawn(np.random.default_rng(1), {"P0": 0.2, "E1": 3.0})
     fits = of(one)
-    good = calibrated(fits, None)
+    good = fitted_base(fits, None)
     assert not adequacy_of(fits, good, fits.scores(good.fit, one.effects)).passes(0.01)
     counted = one.count[0]
-    again = calibrated(fits, good.fit.values)
+    again = fitted_base(fits, good.fit.values)
     assert again.fit.misfit == pytest.approx(good.fit.misfit, abs=0.1) and one.count[0] - counted <= 3
 
 

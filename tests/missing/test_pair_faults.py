@@ -10,7 +10,7 @@ from calib.missing.decision import decide
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import scores
-from calib.missing.screened import screened, screened_p
+from calib.missing.screened import screened_candidates, screened_p
 from calib.missing.settings import DEFAULT
 from calib.missing.tables import faults_table
 from tests.missing.verdict_cases import text_of
@@ -48,7 +48,7 @@ def test_screened_scores_are_those_of_all_candidates(faulty):
     made = with_pairs(faulty()).drawn(np.random.default_rng(1), {"X7": 1.0})
     base = refits(made).candidate_fit((), made.base.values)
     pairs = [e for e in made.faults if e.of_pair]
-    found, every = screened(base.fit, pairs, ("X399",)), scores(base.fit, pairs, {})
+    found, every = screened_candidates(base.fit, pairs, ("X399",)), scores(base.fit, pairs, {})
     order = np.argsort(-every.magnitude, kind="stable")
     assert found.number == PAIRS and found.tests == 2 * PAIRS
     assert found.scores.owners[:-1] == tuple(every.owners[k] for k in order[: RULES.screened])
@@ -67,7 +67,7 @@ def test_the_p_value_of_many_is_one(faulty):
             factor = np.sqrt(few / rng.chisquare(few)) if np.isfinite(few) else 1.0
             one = own.drawn(rng, noise=factor)
             base = refits(one).candidate_fit((), one.base.values)
-            small += screened_p(screened(base.fit, [e for e in one.faults if e.of_pair]), one, seed) <= 0.1
+            small += screened_p(screened_candidates(base.fit, [e for e in one.faults if e.of_pair]), one, seed) <= 0.1
     assert 1 <= small <= 6 + 3 * np.sqrt(6)  # of 60; the bound is on the safe side
 
 

@@ -5,7 +5,7 @@ import pandas as pd
 import pytest
 
 from calib.report.frf import OVERLAID, draw_frac, draw_frf_lines, overlay_figure
-from calib.report.tables import kind_of
+from calib.report.tables import comparison_kind
 
 FREQ = np.array([1.0, 2.0, 3.0, 4.0, 8.0, 9.0])
 """A gap between 4 and 8 Hz, where a band is left out."""
@@ -119,4 +119,4 @@ def test_errors_along_the_frequency_axis_are_parted_where_lines_are_left_out():
 def test_a_table_tells_its_kind(tmp_path, heads, kind):
     path = tmp_path / "comparison_before.csv"
     path.write_text(heads + "\n")
-    assert kind_of(path) == kind and kind_of(tmp_path / "nothing.csv") == "modes"
+    assert comparison_kind(path) == kind and comparison_kind(tmp_path / "nothing.csv") == "modes"

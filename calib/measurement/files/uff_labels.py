@@ -91,7 +91,7 @@ def force_axis(data: Mapping[str, Any]) -> Axis:
     return Axis(typed, labelled, newtons, f"{words} {unit}".strip())
 
 
-def is_force(data: Mapping[str, Any]) -> bool:
+def measures_force(data: Mapping[str, Any]) -> bool:
     """Whether the ordinate of a dataset 58 is a force by itself."""
     return motion_axis(data)[0].kind in ("force", *(TYPES[code] for code in _FORCES))
 

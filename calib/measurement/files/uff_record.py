@@ -14,7 +14,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_record import parse_record_unit
 from calib.measurement.files.uff_blocks import read_blocks
 from calib.measurement.files.uff_frf import file_units
-from calib.measurement.files.uff_labels import MOTIONS, force_unit, is_force, motion_axis
+from calib.measurement.files.uff_labels import MOTIONS, force_unit, measures_force, motion_axis
 from calib.measurement.files.uff_nodes import length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf_units import SAME_UNIT
@@ -35,7 +35,7 @@ FORCE = "force"
 def function_types(path: Path) -> set[int | str]:
     """Function types of the datasets 58 of a file, and `FORCE` where one is the record of a force."""
     every = _function_sets(path, header_only=True)
-    forced = any(int(data["func_type"]) == TIME_RESPONSE and is_force(data) for data in every)
+    forced = any(int(data["func_type"]) == TIME_RESPONSE and measures_force(data) for data in every)
     return {*(int(data["func_type"]) for data in every), *([FORCE] if forced else [])}
 
 
@@ -82,7 +82,7 @@ def read_record_uff(
             kind = motion_axis(data)[0].kind
             if kind in (None, *MOTIONS.values()):
                 own.append(data)
-            elif is_force(data):
+            elif measures_force(data):
                 loads.append(data)
             else:
                 foreign[f"{kind}"] += 1

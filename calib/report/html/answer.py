@@ -160,7 +160,7 @@ def _own_mode(own: Mapping[str, Any]) -> tuple[str, str]:
     )
 
 
-def scores(table: pd.DataFrame) -> list[str]:
+def score_cells(table: pd.DataFrame) -> list[str]:
     """How far each named effect changes the data, and the smallest magnitude that would show."""
     return [
         f"{fixed(abs(r['z']), 0)} standard deviations; {significant(r['magnitude_min'], 2)} {r['unit']} would just show"

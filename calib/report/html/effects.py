@@ -37,7 +37,7 @@ def not_visible(table: pd.DataFrame) -> list[str]:
     return [str(name) for name, hidden in zip(table["name"], unseen(table), strict=True) if hidden]
 
 
-def magnitudes(table: pd.DataFrame) -> list[str]:
+def magnitude_cells(table: pd.DataFrame) -> list[str]:
     """Magnitude of every effect with its interval."""
     return [magnitude_in_words(r) if flag(r["refitted"]) else "not refitted" for r in table.to_dict("records")]
 

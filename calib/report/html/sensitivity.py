@@ -58,7 +58,7 @@ def matrices(results: StudyResults) -> list[Matrix]:
     return found
 
 
-def designs(results: StudyResults) -> dict[str, Any] | None:
+def designs_section(results: StudyResults) -> dict[str, Any] | None:
     """Samples over parallel axes, for ``parallel.js``; None without them.
 
     Returns

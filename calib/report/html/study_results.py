@@ -17,8 +17,8 @@ from calib.report.tables import (
     TEST,
     Folder,
     Kind,
+    comparison_kind,
     has_column,
-    kind_of,
     read_results,
     read_stages,
     without_stage,
@@ -210,7 +210,7 @@ class StudyResults:
         """Whether the study compares modes, scalar responses or FRFs."""
         for table in ("measured", "comparison_before", "comparison_after"):
             if self.has(table):
-                return kind_of(self.folder / f"{table}.csv")
+                return comparison_kind(self.folder / f"{table}.csv")
         return "responses" if self.has("response_misfit") else "frf" if self.has("frf_misfit") else "modes"
 
     def compared(self, stage: str) -> pd.DataFrame | None:

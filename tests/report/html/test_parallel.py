@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from calib.report.html.sensitivity import MOST_NUMBERS, designs
+from calib.report.html.sensitivity import MOST_NUMBERS, designs_section
 from calib.report.html.study_results import StudyResults
 from calib.report.html.write import page, sections
 from tests.report.html import test_browser as browser
@@ -39,7 +39,7 @@ def made(tmp_path):
 def test_axes_have_units_scales_and_what_was_measured(made):
     table = samples()
     table.loc[3, "f"] = np.nan
-    found = designs(made(table))
+    found = designs_section(made(table))
     assert [axis["name"] for axis in found["axes"]] == ["k (N/m)", "m (kg)", "f"]  # what never changes has no axis
     assert [axis["log"] for axis in found["axes"]] == [True, False, False]
     assert [axis["measured"] for axis in found["axes"]] == [None, None, 2.5]
@@ -49,7 +49,7 @@ def test_axes_have_units_scales_and_what_was_measured(made):
 
 
 def test_many_samples_stay_within_the_size_of_a_page(made):
-    found = designs(made(samples(10_000)))
+    found = designs_section(made(samples(10_000)))
     assert sum(map(len, found["rows"])) <= MOST_NUMBERS and len(json.dumps(found)) < 200_000
     assert found["left_out"] == 10_000 - len(found["rows"])
 
@@ -58,7 +58,7 @@ def test_without_samples_there_is_no_figure(made, tmp_path):
     made(samples())
     (tmp_path / "sensitivity_samples.csv").unlink()
     results = StudyResults(tmp_path, "Parallel", True)
-    assert designs(results) is None
+    assert designs_section(results) is None
     assert "figure.parallel" not in page(results)
     assert all("parallel" not in section.body for section in sections(results))
 
