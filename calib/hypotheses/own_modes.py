@@ -10,6 +10,7 @@ import pandas as pd
 from calib.correlation.modal.comparison import Comparison
 from calib.hypotheses.rules import RULES
 from calib.problem.effect import Effect
+from calib.results.answer import hertz
 from calib.structure.effects.extend import addition_of
 from calib.structure.model import StructuralModel
 from calib.study.loading import Model
@@ -86,7 +87,7 @@ def own_modes_sentence(table: pd.DataFrame) -> str:
         shares = sorted({f"{100 * share:.0f}" for share in (rows["share"].min(), rows["share"].max())})
         out.append(
             f"{name} adds {'a mode' if one else f'{len(rows)} modes'} at "
-            f"{' and '.join(f'{freq:.3g}' for freq in rows['natural_freq'])} Hz: its motion relative to the "
+            f"{hertz(*rows['natural_freq'])}: its motion relative to the "
             f"structure has {' to '.join(shares)} % of the kinetic energy there, and no measured mode pairs with "
             f"{'it' if one else 'them'}."
         )

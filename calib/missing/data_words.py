@@ -13,7 +13,7 @@ from calib.missing.recommendation import rounded
 from calib.missing.rules import RULES
 from calib.missing.tables import UNTESTED
 from calib.problem.parameter import unit_words
-from calib.results.answer import in_prose
+from calib.results.answer import hertz, in_prose
 
 GROUPS = {"left_out": "data left out in turn", **UNSEEN}
 """Groups of data that a fit has not seen, in words."""
@@ -35,8 +35,8 @@ def for_readers(words: str, effects: Iterable[str], freqs: Mapping[str, float]) 
     for name in effects:
         words = re.sub(rf"\b{re.escape(name)}\b", in_prose(name), words) if "_" in name else words
     for mode, freq in freqs.items():
-        named = rf"((?:mode|(?:{'|'.join(_OF_A_MODE)}) of) {re.escape(mode)})(?![\w-]|[.]\w)(?! \()"
-        words = re.sub(named, rf"\1 ({freq:.3g} Hz)", words, count=1)
+        named = rf"((?<!model )\b(?:mode|(?:{'|'.join(_OF_A_MODE)}) of) {re.escape(mode)})(?![\w-]|[.]\w)(?! \()"
+        words = re.sub(named, rf"\1 ({hertz(freq)})", words, count=1)
     return words
 
 

@@ -11,7 +11,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.local import range_words
 from calib.missing.rules import RULES
 from calib.missing.suspect import suspect_sentence
-from calib.missing.verdict_words import limits_sentence, lowered
+from calib.missing.verdict_words import KINDS, limits_sentence, lowered
 
 _LISTED = 6
 """Largest number of effects that a doubt lists."""
@@ -65,11 +65,11 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
     fits = found.chosen_adequacy
     if fits is not None and found.alpha < fits.p_fit <= RULES.near_limit and len(fits.modes):
         worst = fits.modes.sort_values("p", kind="stable").iloc[0]
-        what = f"{'frequency' if worst['kind'] == 'freq' else worst['kind']} of {worst['mode'] or 'the responses'}"
+        what = f"{worst['kind']} of {worst['mode']}" if worst["mode"] else _of_responses(str(worst["kind"]))
         yield Reservation(
             f"The data fit as a whole, but one group of them only just (p = {fits.p_fit:.2g}; {found.alpha:g} or less "
-            f"is rejected); the {what} fits worst.",
-            f"Look at the {what} in the measurement, and measure it again.",
+            f"is rejected): the worst fit is that of the {what}.",
+            f"Look at the {what} in the measurement, and measure again.",
         )
     if limited := limits_sentence(found):
         yield Reservation(limited, "Ask whether that search limit is a physical one.")
@@ -93,6 +93,11 @@ def _reservations(found: Explanation, effects: pd.DataFrame, pointed: str, assum
             f"These data cannot show whether there is: {'; '.join([*map(lowered, unseen[:_LISTED]), *more])}.",
             "What would show each stands under Recommended measurements.",
         )
+
+
+def _of_responses(kind: str) -> str:
+    """A kind of data without modes, in words; scalar responses bear the beginning of their names."""
+    return KINDS.get(kind, "responses" if kind == "response" else f"responses {kind}")
 
 
 def _weighed(found: Explanation, effects: pd.DataFrame) -> str:

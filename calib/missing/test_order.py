@@ -13,7 +13,7 @@ from calib.missing.competing import CandidateMeasurement, Excitation
 from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Interval, as_ratio, rounded
 from calib.missing.rules import RULES
 from calib.problem.parameter import unit_words
-from calib.results.answer import in_prose
+from calib.results.answer import hertz, in_prose
 
 COLUMNS = (
     "step", "kind", "what", "excite", "sensors", "how", "freq_low", "freq_high", "resolution", "repeats", "effect",
@@ -116,7 +116,7 @@ def _row(
     elif measurement.kind == "mode" and measurement.excitation is not None:
         row |= _of_mode(measurement.excitation)
         if hung := in_prose(measurement.excitation.hung):
-            row["what"] = f"the mode that the {hung} adds, computed at {measurement.excitation.freq:.3g} Hz"
+            row["what"] = f"the mode that the {hung} adds, computed at {hertz(measurement.excitation.freq)}"
         row["repeats"] = max(design.repeats, _LEAST_REPEATS)
     elif measurement.kind == "sensor":
         row["sensors"] = f"as before, and {measurement.name}"
@@ -180,6 +180,7 @@ def _how(row: Mapping[str, Any]) -> str:
     """Band, resolution and repeats of a step in words."""
     low, high, resolution = (float(row[name]) for name in ("freq_low", "freq_high", "resolution"))
     fitted = " (the data that the fit uses)" if row["kind"] != "mode" else ""
-    band = f"band {low:.3g} to {high:.3g} Hz{fitted}" if math.isfinite(low) and math.isfinite(high) else ""
+    known = math.isfinite(low) and math.isfinite(high)
+    band = f"band {hertz(low, high).replace(' and ', ' to ')}{fitted}" if known else ""
     lines = f"resolution {resolution:g} Hz or finer" if math.isfinite(resolution) else ""
     return ", ".join(filter(None, (band, lines, f"{row['repeats']:.0f} repeats")))

@@ -31,7 +31,7 @@ _QUESTIONS = ("Whether", "Where", "How", "Which", "What")
 _REQUESTS = ("Look", "Check", "Measure")
 """First words of a text to look for that is a request already."""
 CANNOT_TELL = "Model or measurement is wrong, and these data cannot tell which"
-_KINDS = {"freq": "frequencies", "frequency": "frequencies", "shape": "mode shapes"}
+KINDS = {"freq": "frequencies", "frequency": "frequencies", "shape": "mode shapes", "frf": "FRFs"}
 """Kinds of data in words, where these differ from the names in tables."""
 WORST = "the worst kind of data or mode shape"
 """What the p-value of a fit is of, corrected for their number; see `calib.missing.goodness.overall`."""
@@ -110,7 +110,7 @@ def family_in_short(found: Explanation) -> str:
 
 def _worst_of(adequacy: AdequacyTests) -> str:
     """The group of data whose p-value is told, in words."""
-    kinds = [_KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
+    kinds = [KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
     return f"the worst of {names_in_words(kinds)}, corrected for their number" if len(kinds) > 1 else "the data"
 
 

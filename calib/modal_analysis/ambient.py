@@ -32,6 +32,7 @@ from calib.modal_analysis.subspace import (
     samples_needed,
     stable_clusters,
 )
+from calib.results.answer import hertz
 
 DECIMATED_MOST = 10
 """Largest factor of one step of decimation."""
@@ -139,7 +140,7 @@ def _of_setup(
     one_shape = [rank_one(own)[2] for own in model.residues]
     slowest = RULES.periods_least * table.rate / (2 * table.rows)
     why = [
-        f"slower than {slowest:.3g} Hz, which the sampling rate is too fast for: give a band that ends closer above it"
+        f"slower than {hertz(slowest)}, which the sampling rate is too fast for: give a band that ends closer above it"
         if _freq(c) < slowest
         else _refused(c, k, adequacies[k], one_shape[k], spread, lacking, len(records))
         for k, c in enumerate(chains)

@@ -41,6 +41,11 @@ class Answer:
         return asdict(self)
 
 
+def hertz(*freqs: float) -> str:
+    """Frequencies in a sentence, to three digits and without an exponent, such as ``1230 Hz`` or ``3 and 1230 Hz``."""
+    return f"{names_in_words([format(float(format(freq, '.3g')), '.12g') for freq in freqs])} Hz"
+
+
 def in_prose(name: str) -> str:
     """The identifier of an effect as a sentence has it, such as ``brake unit`` for ``brake_unit``."""
     return name.replace("_", " ")

@@ -53,9 +53,25 @@ def test_a_datum_without_which_all_fits_is_told_as_what_it_is(found, effects):
 
 @pytest.mark.parametrize(("p", "told"), [(0.009, False), (0.05, True), (0.2, False)])
 def test_a_fit_that_was_nearly_rejected_names_what_fits_worst(found, effects, p, told):
-    modes = pd.DataFrame({"mode": ["1B", "2B"], "kind": ["freq", "shape"], "p": [0.3, 0.004]})
+    modes = pd.DataFrame({"mode": ["1B", "2B"], "kind": ["frequency", "shape"], "p": [0.3, 0.004]})
     doubts = reservations(replace(found, chosen_adequacy=replace(found.chosen_adequacy, p_fit=p, modes=modes)), effects)
     assert any("shape of 2B" in one.check for one in doubts) == told
+
+
+@pytest.mark.parametrize(
+    ("kind", "words"),
+    [
+        ("frf", "FRFs"),
+        ("freq", "frequencies"),
+        ("growth", "responses growth"),
+        ("response", "responses"),
+    ],
+)
+def test_data_without_modes_are_told_by_their_kind(found, effects, kind, words):
+    modes = pd.DataFrame({"mode": [""], "kind": [kind], "p": [0.004]})
+    tests = replace(found.chosen_adequacy, p_fit=0.05, modes=modes)
+    checks = [one.check for one in reservations(replace(found, chosen_adequacy=tests), effects)]
+    assert f"Look at the {words} in the measurement, and measure again." in checks
 
 
 def test_invisible_effects_are_counted_beyond_six(found, effects):
@@ -64,6 +80,13 @@ def test_invisible_effects_are_counted_beyond_six(found, effects):
     )
     (doubt,) = [one.doubt for one in reservations(found, many) if "cannot show" in one.doubt]
     assert "crack 0; crack 1;" in doubt and "Crack 6" not in doubt and "2 more" in doubt
+
+
+def test_a_mode_of_the_model_has_no_measured_frequency_and_a_high_one_no_exponent():
+    words = "Measured 2 matches model mode 2: check mode 2, and the natural frequency of 12."
+    assert for_readers(words, [], {"2": 11.04, "12": 1234.5}) == (
+        "Measured 2 matches model mode 2: check mode 2 (11 Hz), and the natural frequency of 12 (1230 Hz)."
+    )
 
 
 def test_sentences_name_effects_in_words_and_a_mode_first_with_its_frequency():

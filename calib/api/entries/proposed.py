@@ -10,6 +10,7 @@ from calib.analyses.propose import FILE, ProposalResult
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
 from calib.missing.explanation import OPEN, Explanation
 from calib.problem.parameter import unit_words
+from calib.results.answer import hertz
 from calib.results.results import RESULTS
 from calib.study.study_file import StudyFile, shell_argument
 
@@ -48,7 +49,7 @@ def written_entries(result: ProposalResult, root: Path) -> list[Entry]:
 def _row(r: Mapping[Any, Any]) -> tuple[str, ...]:
     size = f"{r['magnitude']:.3g} [{r['lower']:.3g}, {r['upper']:.3g}]{unit_words(r['unit'])}"
     if r["freq"] == r["freq"]:
-        size += f" at {r['freq']:.3g} Hz"
+        size += f" at {hertz(r['freq'])}"
     others = r["alike"].split("; ") if r["alike"] else []
     alike = f"{count(len(others), 'other')} alike" if others else ""
     remarks = ["as good" if r["close"] and r["rank"] > 1 else "", "implausible" if r["implausible"] else "", alike]

@@ -16,6 +16,7 @@ from calib.measurement.mac import is_real
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.problem.candidate import NOWHERE
 from calib.problem.space import Parameter
+from calib.results.answer import hertz
 from calib.structure.geometry import Mesh
 from calib.structure.modal_model import ModalModel
 from calib.structure.places import along_mesh
@@ -293,4 +294,4 @@ def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFa
 
 
 def _damping_words(how: str, middle: float, by: float) -> str:
-    return f"the analysis or its background adds {100 * by:.2g} % of damping at {middle:.3g} Hz, {how}"
+    return f"the analysis or its background adds {100 * by:.2g} % of damping at {hertz(middle)}, {how}"

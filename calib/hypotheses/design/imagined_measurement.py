@@ -21,6 +21,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.recommendation import HELD_OUT
 from calib.problem.effect import Effect
 from calib.problem.problem import PairProblem
+from calib.results.answer import hertz
 from calib.structure.effect_places import effect_places
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -211,6 +212,6 @@ def _modes_in_words(freqs: Sequence[float], held_out: Mapping[str, float]) -> li
     for k, freq in enumerate(freqs):
         near = [name for name, own in held_out.items() if abs(own / freq - 1) < RULES.held_out_near]
         known = len(near) == 1 and closest[near[0]] == k
-        words.append(f"mode {near[0]}{HELD_OUT}" if known else f"a further mode, computed at {freq:.3g} Hz")
+        words.append(f"mode {near[0]}{HELD_OUT}" if known else f"a further mode, computed at {hertz(freq)}")
     same = {w: words.count(w) for w in words}
     return [w if same[w] == 1 else f"{w} ({words[: k + 1].count(w)} of {same[w]})" for k, w in enumerate(words)]
