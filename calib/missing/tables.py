@@ -17,6 +17,7 @@ from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_pro
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.local import fault_words, local_perturbation
+from calib.missing.partial import is_simpler_form
 from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit
@@ -29,7 +30,8 @@ UNTESTED = "not tested: the model fails with it"
 EFFECT_COLUMNS = (
     "name", "title", "unit", "z", "unabsorbed", "magnitude", "magnitude_low", "magnitude_high", "magnitude_min",
     "plausible", "largest", "visible", "ln_bayes", "ln_bayes_third", "ln_bayes_triple", "model_probability",
-    "held_out_gain", "refitted", "credible", "implausible", "confounded_with", "stands_for", "lacks", "look_for",
+    "held_out_gain", "refitted", "credible", "told", "implausible", "confounded_with", "stands_for", "lacks",
+    "look_for",
 )  # fmt: skip
 FAULT_COLUMNS = (
     "fault", "kind", "sensor", "x", "y", "z", "unit", "score", "unabsorbed", "magnitude", "low", "high",
@@ -64,6 +66,7 @@ def effects_table(
     singles = {t.names[0]: t for t in found.singles if t.fit.misfit <= found.base.fit.misfit}
     if found.chosen is not None and len(found.chosen.effects) > 1:
         singles |= dict.fromkeys(found.chosen.names, found.chosen)
+    told = {*found.credible, *(found.chosen.names if found.chosen is not None and is_simpler_form(found) else ())}
     rows: list[dict[str, object]] = []
     first: dict[str, object] = {}
     shares = []
@@ -79,7 +82,7 @@ def effects_table(
             "magnitude": math.nan, "magnitude_low": math.nan, "magnitude_high": math.nan, "magnitude_min": size,
             "plausible": e.plausible, "largest": max(abs(e.magnitude.lower), e.magnitude.upper),
             "visible": size <= e.plausible, "held_out_gain": gains.get(e.name, math.nan),
-            "refitted": candidate_fit is not None, "credible": e.name in found.credible,
+            "refitted": candidate_fit is not None, "credible": e.name in found.credible, "told": e.name in told,
             "implausible": "" if candidate_fit is None else candidate_fit.implausible,
             "confounded_with": ", ".join(confounded_with(found, e.name)),
             "stands_for": ", ".join(_stands_for(group, singles)) if e is group.effect else "",
@@ -132,7 +135,14 @@ def _untested(e: Candidate) -> dict[str, object]:
     row |= {"name": e.name, "title": e.title, "unit": e.magnitude.unit, "plausible": e.plausible}
     row |= {"largest": max(abs(e.magnitude.lower), e.magnitude.upper), "implausible": UNTESTED}
     row |= {"lacks": e.lacks, "look_for": e.look_for}
-    return row | {"visible": False, "refitted": False, "credible": False, "confounded_with": "", "stands_for": ""}
+    return row | {
+        "visible": False,
+        "refitted": False,
+        "credible": False,
+        "told": False,
+        "confounded_with": "",
+        "stands_for": "",
+    }
 
 
 def confounded_with(found: Explanation, name: str) -> list[str]:
@@ -283,4 +293,5 @@ def perturbations_table(found: Explanation, places: Places) -> pd.DataFrame:
         score = scores.z[k] if scores.signed[k] else max(scores.z[k], 0.0)  # the other sign is not physical
         rows.append((name, kind, *place, sensor, score, scores.unabsorbed[k]))
     table = pd.DataFrame(rows, columns=["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed"])
-    return table.assign(limit=noise_limit(table["score"].to_numpy(dtype=float)))
+    told = () if found.place is None else found.place.names
+    return table.assign(limit=noise_limit(table["score"].to_numpy(dtype=float)), told=table["perturbation"].isin(told))

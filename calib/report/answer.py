@@ -97,8 +97,12 @@ def answered_place(
     acts: pd.DataFrame | None,
     pattern: pd.DataFrame | None,
     perturbations: pd.DataFrame | None,
+    attempt: bool = False,
 ) -> AnsweredPlace | None:
     """Where an explanation points; None where neither an effect with a place nor the data point anywhere.
+
+    Beside a named effect the data point at the local change with the largest score, where noise does not explain it;
+    without one, or beside an ``attempt``, at the place that the verdict tells, if any.
 
     Parameters
     ----------
@@ -109,7 +113,9 @@ def answered_place(
     pattern : DataFrame, optional
         Columns ``effect, sensor, signature``, of the named effects.
     perturbations : DataFrame, optional
-        Columns ``perturbation, sensor`` (empty for a part), ``x, y, z`` (m), ``score, limit``.
+        Columns ``perturbation, sensor`` (empty for a part), ``x, y, z`` (m), ``score, limit, told``.
+    attempt : bool
+        Whether the effects of the pattern are not named: something like them is missing.
     """
     nowhere: np.ndarray = np.full(3, np.nan)
     names = [] if pattern is None else list(dict.fromkeys(pattern["effect"]))
@@ -124,6 +130,9 @@ def answered_place(
         if len(size):
             sensor = str(size.idxmax())
             sensor_at = placed[scene.PLACE].to_numpy(dtype=float)[placed.index.get_loc(sensor)]
+    if perturbations is not None and (pattern is None or attempt):
+        told = perturbations["told"] if "told" in perturbations else pd.Series(False, perturbations.index)
+        perturbations = perturbations[told.eq(True)]
     if perturbations is not None and perturbations["score"].notna().any():
         best = perturbations.iloc[int(np.nanargmax(perturbations["score"].abs().to_numpy(dtype=float)))]
         at = best[scene.PLACE].to_numpy(dtype=float)

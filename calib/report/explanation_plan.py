@@ -136,12 +136,30 @@ def _sizes(effects: pd.DataFrame, names: Sequence[str]) -> dict[str, str]:
 
 
 def read_place(folder: Folder, attempt: bool) -> AnsweredPlace | None:
-    """Where the explanation in a folder points; of an ``attempt`` that is not believed, where the data alone do."""
+    """Where the explanation in a folder points: at what is named, or at what an ``attempt`` tells; None at nothing.
+
+    An attempt that is not believed points where the verdict does: at an effect like which something is missing, or at a
+    place to look at.
+    """
     sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
-    why = None if attempt else _read(folder, "why", ["effect"], ["signature"], blank=["sensor"])
+    why = _why(folder, attempt)
     acts = _read(folder, "effect_places", ["effect"], [*PLACE])
-    local = _read(folder, "perturbations", ["perturbation"], [*PLACE, "score", "limit"], blank=["sensor"])
-    return answered_place(sensors, acts, why, local)
+    numbers = [*PLACE, "score", "limit"]
+    local = _read(
+        folder, "perturbations", ["perturbation"], numbers, blank=["sensor"], flags=["told"], if_there=["told"]
+    )
+    return answered_place(sensors, acts, why, local, attempt)
+
+
+def _why(folder: Folder, attempt: bool) -> pd.DataFrame | None:
+    """Change patterns of the effects that are told; None without any."""
+    why = _read(folder, "why", ["effect"], ["signature"], blank=["sensor"])
+    if why is None or not attempt:
+        return why
+    effects = _read(folder, "effects", ["name"], [], flags=["told"], if_there=["told"])
+    told = [] if effects is None or "told" not in effects else effects.loc[effects["told"].eq(True), "name"]
+    own = why[why["effect"].isin(told)]
+    return own if len(own) else None
 
 
 def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attempt: bool) -> Iterator[Drawing]:
@@ -151,9 +169,9 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
         return
     sensors = _read(folder, "sensors", ["sensor"], [*PLACE])
     both = _read(folder, "added_errors", ["group", "stage"], ["rms", "expected"])
-    why = None if attempt else _read(folder, "why", ["effect"], [])
+    why = _why(folder, attempt)
     missing = [] if why is None else list(dict.fromkeys(map(str, why["effect"])))
-    what = [in_prose(name) for name in missing]
+    what = [f"something like {in_prose(name)}" if attempt else in_prose(name) for name in missing]
     ends = ["magnitude_low", "magnitude_high"]
     effects = _read(folder, "effects", ["name"], ["magnitude"], blank=["unit"], if_there=ends)
     sizes = {} if effects is None else {in_prose(name): own for name, own in _sizes(effects, missing).items()}
@@ -161,7 +179,7 @@ def _answer(folder: Folder, rest: np.ndarray, errors: pd.DataFrame | None, attem
     draw = bound(answer_figure, rest, found, what, sizes, sensors, shown)
     named = ["sensors", "effect_places", "why", "perturbations", "effects", "errors", "added_errors"]
     tables = existing(folder, named)
-    of = f" for the {names_in_words(what)}" if len(found.acts) and what else ""
+    of = f" for {'' if attempt else 'the '}{names_in_words(what)}" if len(found.acts) and what else ""
     yield Drawing("answer", f"where to look{of}", draw, tables)
 
 

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from calib.report.answer import answer_figure, answered_place, most_telling_error
+from calib.report.explanation_plan import read_place
 from calib.report.scene import side_arrows, upright
 from calib.report.style import style
 
@@ -106,8 +107,8 @@ def test_the_bars_are_the_error_in_data_that_no_fit_has_seen(sensors, acts, patt
     assert most_telling_error(errors[errors["stage"] == "before"]) is None and most_telling_error(None) is None
 
 
-def test_without_a_named_effect_the_picture_shows_where_the_data_point(sensors, acts, local):
-    found = answered_place(sensors, acts, None, local)
+def test_without_a_named_effect_the_picture_shows_the_place_that_is_told(sensors, acts, local):
+    found = answered_place(sensors, acts, None, local.assign(told=[True, False, False]))
     assert not len(found.acts) and found.alone == "added mass at sensor 2y" and np.isnan(found.away)
     with style():
         figure = answer_figure(REST, found, [], {}, sensors)
@@ -115,9 +116,31 @@ def test_without_a_named_effect_the_picture_shows_where_the_data_point(sensors, 
     assert {line.get_gid() for line in figure.axes[0].lines} >= {"alone", "sensors", "model"}
 
 
-def test_a_score_within_its_limit_points_nowhere(sensors, acts, local):
-    assert answered_place(sensors, acts, None, local.assign(limit=9.5)) is None
+def test_without_a_named_effect_a_place_that_the_verdict_does_not_tell_is_not_marked(sensors, acts, local):
+    assert answered_place(sensors, acts, None, local) is None  # a table without that column
+    assert answered_place(sensors, acts, None, local.assign(told=False)) is None
     assert answered_place(sensors, acts, None, None) is None
+
+
+def test_a_score_within_its_limit_points_nowhere(sensors, acts, pattern, local):
+    assert not answered_place(sensors, acts, pattern, local.assign(limit=9.5)).alone
+
+
+def test_something_like_an_effect_is_marked_where_it_acts(sensors, acts, pattern, local):
+    found = answered_place(sensors, acts, pattern, local.assign(told=False), attempt=True)
+    assert len(found.acts) == 2 and not found.alone and found.sensor == "3y"
+
+
+@pytest.mark.parametrize(("told", "points"), [(True, True), (False, False)])
+def test_an_attempt_points_at_its_effect_only_where_that_is_told(tmp_path, sensors, acts, pattern, local, told, points):
+    effects = pd.DataFrame({"name": ["unit"], "told": [told]})
+    why = pattern.assign(effects="unit", kind="shape", mode=list("ABCDE"), part="")
+    tables = {"sensors": sensors, "effect_places": acts, "why": why, "effects": effects}
+    for name, table in (tables | {"perturbations": local.assign(told=False)}).items():
+        table.to_csv(tmp_path / f"{name}.csv", index=False)
+    found = read_place(tmp_path, attempt=True)
+    assert (found is not None and len(found.acts) == 2) == points
+    assert read_place(tmp_path, attempt=False).alone == "added mass at sensor 2y"
 
 
 def test_of_a_change_of_a_whole_part_no_distance_is_told(sensors, acts, pattern, local):

@@ -35,7 +35,8 @@ def place_in_words(results: StudyResults) -> str:
     """The marks of the picture of the place; empty without one."""
     found = _place(results)
     named = [in_prose(str(name)) for name in results.explanation.get("chosen", [])]
-    marks = {} if found is None else found.marks(names_in_words(named) if named else "")
+    like = "" if names_something(results) else "something like "
+    marks = {} if found is None else found.marks(f"{like}{names_in_words(named)}" if named else "")
     return "; ".join(f"{mark}: {words}" for mark, words in marks.items())
 
 

@@ -119,7 +119,8 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
         "name title",
         "z unabsorbed magnitude magnitude_low magnitude_high magnitude_min plausible largest ln_bayes ln_bayes_third "
         "ln_bayes_triple model_probability held_out_gain",
-        flags="visible refitted credible",
+        flags="visible refitted credible told",
+        if_there="told",
         blank="unit implausible confounded_with stands_for lacks look_for",
         unbounded="magnitude_min",
     ),
@@ -129,7 +130,7 @@ COLUMNS: Mapping[str, Mapping[str, Any]] = {
     "why_places": _columns("effect perturbation kind", "x y z correlation"),
     "reduction_by_test": _columns("effects", "rows before after share", unique="effects"),
     "confounding": _matrix("effect"),
-    "perturbations": _columns("perturbation kind", "x y z score unabsorbed limit"),
+    "perturbations": _columns("perturbation kind", "x y z score unabsorbed limit", flags="told", if_there="told"),
     "candidate_fits": _columns("effects", "misfit ln_bayes", blank="implausible"),
     "misfit_kinds": _columns("stage mode kind", "chi2 dof p"),
     "sensor_misfit": _columns("stage mode sensor direction", "x y z re im"),
