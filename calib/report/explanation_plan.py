@@ -157,7 +157,7 @@ def _why(folder: Folder, attempt: bool) -> pd.DataFrame | None:
     if why is None or not attempt:
         return why
     effects = _read(folder, "effects", ["name"], [], flags=["told"], if_there=["told"])
-    told = [] if effects is None or "told" not in effects else effects.loc[effects["told"].eq(True), "name"]
+    told: Any = [] if effects is None or "told" not in effects else effects.loc[effects["told"].eq(True), "name"]
     own = why[why["effect"].isin(told)]
     return own if len(own) else None
 
