@@ -69,12 +69,14 @@ def from_further_points(fits: Refits, base: CandidateFit) -> tuple[CandidateFit,
         for point in sample(space, RULES.base_starts, fits.settings.seed).points:
             fits.announce("calibrating the base model from further points")
             try:
-                found = fits.finished(fits.candidate_fit((), {**space.complete(point), **whole}))
+                found = fits.candidate_fit((), {**space.complete(point), **whole})
+                if found.fit.misfit <= RULES.trapped * base.fit.misfit:  # else it is far from anything better
+                    found = fits.finished(found)
             except EvaluationError:
                 ends.append(None)
                 continue
             ends.append(found.fit)
-            if found.fit.misfit < base.fit.misfit - RULES.rebased:
+            if _is_better(found, base):
                 return found, len(ends)
             if Optima.of([base.fit, *ends]).agree:
                 break
@@ -86,4 +88,10 @@ def _better(fits: Refits, base: CandidateFit, start: dict[str, float]) -> Candid
         found = fits.finished(fits.candidate_fit((), start))
     except EvaluationError:
         return base
-    return found if found.fit.misfit < base.fit.misfit - RULES.rebased else base
+    return found if _is_better(found, base) else base
+
+
+def _is_better(found: CandidateFit, base: CandidateFit) -> bool:
+    """Whether a fit lowers the sum of squares by `DecisionRules.rebased`, or so many times the mean square left."""
+    unit = max(base.fit.misfit / max(len(base.fit.residual), 1), 1.0)
+    return found.fit.misfit < base.fit.misfit - RULES.rebased * unit

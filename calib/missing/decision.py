@@ -21,7 +21,7 @@ from calib.missing.hypotheses import Hypotheses
 from calib.missing.partial import minor_beside, minor_of, several_generic
 from calib.missing.place import takes_enough, told_place
 from calib.missing.refits import Refits, near_to
-from calib.missing.restarts import led_astray, restarted, restarted_faults
+from calib.missing.restarts import better_of, led_astray, restarted, restarted_faults, restarted_first, trapped
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings, require_enough
@@ -115,16 +115,20 @@ class _Decision:
             return found
         if not groups:
             return self.unlisted(found)
-        singles = fits.singles(base, groups, adequacy.named, starts)
+        astray = not starts and fits.settings.budget > 0 and led_astray(base, adequacy)
+        first = restarted_first(fits, base, able) if astray else []
+        free = bool(first) and not trapped(first)
+        singles = first if free else better_of(first, fits.singles(base, groups, adequacy.named, starts))
         lead = self.lead(singles, able, base)
         found = with_competing(self.fits, found, lead.singles[0])
         needed = self.needed(found)
-        found = replace(found, measured_scale=measured_scale(fits, base, lead.best, found.perturbation, found.fault))
+        factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)
+        found = replace(found, measured_scale=factor, begun_anew=bool(first))
         settled = self.accepted(lead, needed) and not found.measured_scale > RULES.guard
         told = self.blamed(found, lead, needed)
-        if not settled and told is None and not starts and fits.settings.budget > 0 and led_astray(base, adequacy):
+        if not settled and told is None and astray:
             with fits.allowance.uncharged():  # refits from the nominal values have their own budget
-                singles = restarted(fits, base, lead.singles, able)
+                singles = lead.singles if first else restarted(fits, base, lead.singles, able)
                 found = with_faults(found, restarted_faults(fits, base, found.faults))
             lead = self.lead(singles, able, base)
             factor = measured_scale(fits, base, lead.best, found.perturbation, found.fault)

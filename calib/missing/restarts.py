@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -57,12 +57,14 @@ def restarted(
             tried[start[1]] += 1
             _fitted(own, base, start, best)
     kept = [start for start in kept if start[2][start[1]] != 0]  # the base model, from the nominal values
-    if kept and _trapped(best):
+    if kept and trapped(best.values()):
         further = replace(fits, settings=replace(fits.settings, budget=RULES.anew_further * fits.settings.budget))
         for start in kept:
-            if further.spent() or not _trapped(best):
+            if further.spent() or not trapped(best.values()):
                 break
             _fitted(further, base, start, best)
+    if not best:
+        return []
     first = max(best.values(), key=lambda t: t.ln_evidence)
     if not any(first is t for t in singles):
         first = own.followed(first, whole=2)
@@ -78,9 +80,29 @@ def _fitted(fits: Refits, base: CandidateFit, start: _Start, best: dict[str, Can
         best[name] = refit
 
 
-def _trapped(best: Mapping[str, CandidateFit]) -> bool:
+def trapped(fits: Iterable[CandidateFit]) -> bool:
     """Whether every fit leaves far more than errors of the size that is stated."""
-    return all(t.fit.misfit > RULES.trapped * len(t.fit.residual) for t in best.values())
+    return all(t.fit.misfit > RULES.trapped * len(t.fit.residual) for t in fits)
+
+
+def restarted_first(fits: Refits, base: CandidateFit, effects: Sequence[Candidate]) -> list[CandidateFit]:
+    """The same before any effect is fitted beside the base fit, where that leaves a multiple of the rows.
+
+    Nothing that is fitted from such a point tells much. Empty where the base fit is not trapped; not charged, as refits
+    from the nominal values have their own budget.
+    """
+    if not trapped((base,)):
+        return []
+    with fits.allowance.uncharged():
+        return restarted(fits, base, (), effects)
+
+
+def better_of(one: Sequence[CandidateFit], other: Sequence[CandidateFit]) -> list[CandidateFit]:
+    """The better fit of every effect, of two lists of single effects; best first."""
+    best: dict[str, CandidateFit] = {}
+    for t in (*one, *other):
+        best[t.names[0]] = min(t, best.get(t.names[0], t), key=lambda own: own.fit.misfit)
+    return sorted(best.values(), key=lambda t: (-t.ln_evidence, t.names))
 
 
 def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[CandidateFit]) -> tuple[CandidateFit, ...]:

@@ -69,7 +69,8 @@ class DecisionRules:
     anew_further : float
         Part of the budget that is added for these.
     rebased : float
-        Least decrease of the base model's sum of squares with which a decision begins again from a better base fit.
+        Least decrease of the base model's sum of squares, over the mean square that it leaves or over 1 if that is
+        more, with which a decision begins again from a better base fit.
     rebasings : int
         How often it may.
     base_starts : int

@@ -8,7 +8,7 @@ import pytest
 from calib.execution.stage import silent
 from calib.missing import decision
 from calib.missing.adequacy import adequacy_of, overstated
-from calib.missing.base_fit import fitted_base, from_further_points, nested
+from calib.missing.base_fit import _is_better, calibrated, fitted_base, from_further_points, nested
 from calib.missing.decision import decide
 from calib.missing.goodness import goodness
 from calib.missing.refits import Refits
@@ -72,6 +72,19 @@ def test_from_a_larger_model_the_base_model_reaches_what_it_contains(trapped):
     assert better.names == () and better.fit.misfit < base.fit.misfit - 500
     assert nested(fits, better, there) is better  # which gains nothing on it
     assert nested(fits, base, None) is base
+
+
+@pytest.mark.parametrize(("mean_square", "least"), [(0.5, 1.0), (1.0, 1.0), (400.0, 400.0)])
+def test_a_base_fit_is_better_by_one_or_by_the_mean_square_that_is_left(trapped, mean_square, least):
+    base = calibrated(of(trapped), None)
+    square = mean_square * len(trapped.rows)
+
+    def leaving(misfit):
+        data = base.fit.residual * np.sqrt((misfit - base.fit.shift @ base.fit.shift) / np.sum(base.fit.residual**2))
+        return replace(base, fit=replace(base.fit, residual=data))
+
+    assert not _is_better(leaving(square - 0.99 * least), leaving(square))
+    assert _is_better(leaving(square - 1.01 * least), leaving(square))
 
 
 def test_further_points_lead_out_of_a_valley(trapped):

@@ -67,6 +67,25 @@ def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, 
     assert lost.chosen.fit.misfit * lost.noise_scale**2 > from_truth.misfit + 9 and not lost.begun_anew
 
 
+def test_beside_a_base_fit_that_leaves_a_multiple_of_the_rows_effects_start_from_the_nominal_values(toy, monkeypatch):
+    one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
+    monkeypatch.setattr(Refits, "singles", lambda *given: pytest.fail("fitted beside the base fit first"))
+    found = decide(one)
+    assert found.base.fit.misfit > RULES.trapped * len(one.rows)
+    assert found.verdict == "effect" and found.credible == ("E0",) and found.begun_anew
+
+
+def test_the_better_fit_of_each_effect_counts(toy):
+    one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
+    fits = Refits(one, decision.DEFAULT, 1.0, silent)
+    start = fits.fit_problem(("E0",)).space.values
+    good, poor = (fits.candidate_fit(("E0",), {**start, **at}) for at in (TRUTH, {"P0": 3.0}))
+    other = fits.candidate_fit(("E1",), one.fit_problem(("E1",)).space.values)
+    assert good.fit.misfit < poor.fit.misfit - 1
+    for first, second in (([good], [poor, other]), ([poor, other], [good])):
+        assert restarts.better_of(first, second) == [good, other]
+
+
 def test_refits_from_nominal_values_keep_to_their_budget(toy):
     one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
     found = decide(one)
