@@ -78,7 +78,7 @@ class Explanation:
         Faults of the measurement that the verdict tells beside its effects, or beside its fault: their magnitudes are
         among the parameters of every fit.
     mistakable : tuple of (str, str)
-        A fault that is told, and an effect that is nearly collinear with it: in its place it explains about as well.
+        A fault that is told, and an effect or another fault: in its place it explains about as well.
     minor : tuple of str
         Further effects that would leave nothing over beside the chosen one, too small to be named; see
         `calib.missing.partial.minor_beside`.

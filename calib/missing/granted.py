@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import islice
 
 import numpy as np
 
+from calib.errors.errors import EvaluationError
 from calib.missing.blame import alike, alike_faults, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
@@ -16,7 +18,7 @@ from calib.missing.place import takes_enough
 from calib.missing.plausible import has_possible_size, is_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.missing.score import Scores
+from calib.missing.score import Scores, scores
 from calib.problem.candidate import Candidate
 
 Again = Callable[[Refits, Mapping[str, float]], Explanation]
@@ -65,7 +67,8 @@ def with_fault(
         if told is not None:
             alone = next((t for t in found.faults if t.names == (fault.name,)), None)
             known = () if alone is None else singles
-            like = tuple(t.names[0] for t in known if not t.implausible and alone and alike(found, alone, t))
+            like = [t.names[0] for t in known if not t.implausible and alone and alike(found, alone, t)]
+            like += [name for name in _in_place_of(fits, told, fault) if name not in like]
             return replace(told, mistakable=(*((fault.name, name) for name in like), *told.mistakable))
     return None
 
@@ -79,6 +82,36 @@ def _granting(fits: Refits, fault: Candidate, values: Mapping[str, float], again
         told = replace(told, verdict="measurement")
     explains = told.verdict in (*NAMED, "indistinguishable") or (told.verdict == "measurement" and not told.remains)
     return told if explains and _needed(fits, told, fault) else None
+
+
+def _in_place_of(fits: Refits, told: Explanation, fault: Candidate) -> Iterator[str]:
+    """Faults that explain about as well in the place of a granted one, beside all else that is told; not charged.
+
+    A channel reads many others that move nearly alike: which of them, the data may not tell. Those that are predicted
+    to explain about as much are fitted, at most `DecisionRules.blamed`, and told where they are within 20:1.
+    """
+    fit = told.last.fit
+    names = (*told.last.names, *(e.name for e in told.granted if e is not fault and e not in fits.granted))
+    lacking = fit.without(fault.name)
+    known = scores(lacking, [e for e in fits.family.single if e.name not in names], {})
+    pairs = fits.family.screened(lacking, names, (fault.name,))
+    known = known if pairs is None else known.joined(pairs.scores)
+    if fault.name not in known.owners:
+        return
+    predicted = fits.family.predicted(known)
+    least = predicted[known.best(fault.name)] - RULES.close
+    near = [known.owners[k] for k in np.argsort(-predicted, kind="stable") if predicted[k] > least]
+    own = {name: value for name, value in fit.values.items() if name != fault.name}
+    with fits.allowance.uncharged():
+        granted = fits.candidate_fit((*names, fault.name), dict(fit.values))
+        for name in [name for name in near if name != fault.name][: RULES.blamed]:
+            k = known.best(name)
+            p, size = fits.by_name[name].magnitude, known.z[k] / known.size[k]
+            with suppress(EvaluationError):
+                other = fits.candidate_fit((*names, name), {**own, name: min(max(size, p.lower), p.upper)})
+                close = other.ln_evidence > granted.ln_evidence - RULES.credible
+                if close and has_possible_size(other.fit, fits.by_name[name]):
+                    yield name
 
 
 def _first(

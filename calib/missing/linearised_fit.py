@@ -174,6 +174,18 @@ class LinearisedFit:
         matrix = -np.vstack([self.data_slope, np.diag(1.0 / self.prior_sd)]) * region.span_at(region.start)
         return np.asarray(rest + matrix @ region.step(matrix, rest, 0.0, region.start))
 
+    def without(self, name: str) -> LinearisedFit:
+        """The end point without one parameter, to first order: what it explains is in the residual again."""
+        k, others = self.names.index(name), self.others
+        if others is not None:
+            back = others.residual + others.slope[:, k] * self.values[name]
+            others = others._replace(slope=np.delete(others.slope, k, axis=1), residual=back)
+        return replace(
+            self, names=tuple(n for n in self.names if n != name), others=others, active=self.active - {name},
+            residual=self.residual + self.slope[:, k] * self.values[name], slope=np.delete(self.slope, k, axis=1),
+            prior_sd=np.delete(self.prior_sd, k), shift=np.delete(self.shift, k),
+        )  # fmt: skip
+
     def granting(self, names: Collection[str]) -> LinearisedFit:
         """The fit with the priors of some parameters centred on their fitted values.
 

@@ -386,10 +386,11 @@ _PLURAL = re.compile(r"\b(?:it sits|it is|its)\b")
 
 
 def instead_of_faults(found: Explanation) -> str:
-    """Effects that explain about as well in the place of a fault that is told, or the reverse, in words."""
+    """Effects or faults that explain about as well in the place of a fault that is told, or the reverse, in words."""
+    others = {first: " or ".join(b for a, b in found.mistakable if a == first) for first, _ in found.mistakable}
     return " ".join(
-        f"In the place of {one}, {other} explains about as well: these data cannot tell which."
-        for one, other in found.mistakable
+        f"In the place of {first}, {other} explains about as well: these data cannot tell which."
+        for first, other in others.items()
     )
 
 

@@ -185,7 +185,9 @@ class FourWorld(World):
     def _told(self, found: Explanation) -> dict[str, Any]:
         told = [fault.name for fault, _ in found.faulty]
         beside = found.datum is not None or any(fault.name not in told for fault in self._faults_beside(found))
-        return {"faults_told": told, "measurement_too": beside, "equally_good": list(found.equally_good)}
+        alike = [other for _, other in found.mistakable]
+        return {"faults_told": told, "faults_alike": alike, "measurement_too": beside,
+                "equally_good": list(found.equally_good)}  # fmt: skip
 
     def _faults_beside(self, found: Explanation) -> Sequence[Any]:
         """Faults that the verdict tells as what may be in the place of an effect."""
@@ -205,10 +207,11 @@ class FourFrameWorld(FourWorld, FrameWorld):
 
 
 def fault_told(row: Mapping[str, Any]) -> bool:
-    """Whether the fault is told: of a pair the candidate itself, else a fault of that sensor."""
+    """Whether the fault is told: of a pair the candidate itself, or as one that explains about as well; else a fault of
+    that sensor."""
     right = row["fault_right"]
     if " " in right:
-        return right in row["faults_told"]
+        return right in (*row["faults_told"], *row.get("faults_alike", ()))
     return any(_sensor_of(name) == right for name in row["faults_told"])
 
 

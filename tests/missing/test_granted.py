@@ -79,6 +79,17 @@ def test_of_two_faults_alike_the_other_is_granted_where_the_first_leaves_somethi
     assert set(told(decide(posed))) != {"F3"}
 
 
+@pytest.mark.parametrize(("rho", "alike"), [(0.999, True), (0.5, False)])
+def test_a_fault_like_a_granted_one_is_told_in_its_place(faulty, rho, alike):
+    made = faulty().correlated("F2", "F3", rho)
+    found = decide(made.drawn(np.random.default_rng(1), {"E1": 2.0, "F2": 3.0}))
+    assert found.verdict == "effect" and found.credible == ("E1",)
+    (first,) = told(found)
+    other = {"F2": "F3", "F3": "F2"}[first]
+    assert found.mistakable == (((first, other),) if alike else ())
+    assert (f"In the place of {first}, {other} explains about as well" in text_of(found)) == alike
+
+
 def test_an_effect_like_a_granted_fault_is_told_in_its_place(faulty):
     made = faulty(kind="damping").correlated("F2", "E2", 0.97)
     found = decide(made.drawn(np.random.default_rng(3), {"E1": 2.0, "F2": 3.0}))
