@@ -297,6 +297,8 @@ def _scalar_answer(
         in_std = (responses[name] - value) / std if std else np.nan
         rows.append((name, value, responses[name], error, in_std))
     table = pd.DataFrame(rows, columns=["response", "measured", "model", "error", "error_in_std"])
+    if units := getattr(problem, "units", {}):
+        table["unit"] = [units.get(name, "") for name in table["response"]]
     measured = {name: value for name, (value, _) in problem.targets.items()}
     unit_hints = response_hints(measured, responses)
     return ComparisonResult(

@@ -14,7 +14,7 @@ from calib.errors.errors import InputError
 from calib.measurement.accuracy import widened
 from calib.measurement.alignment import mean_and_std
 from calib.measurement.disagreements import Disagreement, Pooling, value_disagreements
-from calib.measurement.files.csv_format import ONE, read_responses_csv
+from calib.measurement.files.csv_format import ONE, read_response_units, read_responses_csv
 from calib.measurement.modal import Sensor
 from calib.problem import degrees_of_freedom
 from calib.problem.degrees_of_freedom import dof_each, widened_by
@@ -37,6 +37,8 @@ class MeasuredResponses(Short):
         Part of the variance of each that repeats show, the rest being claimed; 1 for a response without an entry.
     claimed : str
         The claimed accuracy in words; empty without.
+    units : mapping from response name to str
+        Unit of each that has one, as text.
     """
 
     targets: Mapping[str, tuple[float, float | None]]
@@ -45,12 +47,14 @@ class MeasuredResponses(Short):
     notes: tuple[str, ...] = ()
     shares: Mapping[str, float] = field(default_factory=dict)
     claimed: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """A short table: values with their standard deviations."""
-        rows = [("response", "value", "std")]
+        rows = [("response", "value", "std", "unit")[: 4 if self.units else 3]]
         rows += [
-            (name, f"{value:.6g}", "" if std is None else f"{std:.2g}") for name, (value, std) in self.targets.items()
+            (name, f"{value:.6g}", "" if std is None else f"{std:.2g}", self.units.get(name, ""))[: len(rows[0])]
+            for name, (value, std) in self.targets.items()
         ]
         return "\n".join([f"{len(self.targets)} responses", *aligned_lines(rows)])
 
@@ -185,9 +189,9 @@ def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredRes
     path = path_of(path, "measured responses")
     if pooling not in ("robust", "plain"):
         raise InputError(f"pooling is {pooling!r}", place=path, remedy="write 'robust' or 'plain'")
-    tables = read_responses_csv(path)
+    tables, units = read_responses_csv(path), read_response_units(path)
     if ONE in tables:
-        return MeasuredResponses(tables[ONE], {})
+        return MeasuredResponses(tables[ONE], {}, units=units)
     names = list(dict.fromkeys(name for table in tables.values() for name in table))
     values = np.array([[table[n][0] if n in table else np.nan for n in names] for table in tables.values()])
     labels = [f"{path.name}, repeat {label}" for label in tables]
@@ -213,7 +217,8 @@ def read_responses(path: str | Path, pooling: Pooling = "robust") -> MeasuredRes
         # equal values are rounding and give no standard deviation
         own = float(std[k]) if std[k] > 0 else None
         targets[name] = (float(mean[k]), given[name][0] if len(given[name]) == 1 else own)
-    return MeasuredResponses(targets, dict(zip(names, counts.tolist(), strict=True)), tuple(found), tuple(notes))
+    counted = dict(zip(names, counts.tolist(), strict=True))
+    return MeasuredResponses(targets, counted, tuple(found), tuple(notes), units=units)
 
 
 def _relative(measured: MeasuredResponses, name: str) -> float:

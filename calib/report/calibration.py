@@ -17,7 +17,17 @@ from matplotlib.patches import Patch
 from calib.report.comparison import LEAST_MAC_ERROR
 from calib.report.numbers import flag, short, significant, with_unit
 from calib.report.parameters import position
-from calib.report.style import CASES, GREY, VERMILLION, legend_above, new_figure, own_axes, plain, plain_ticks
+from calib.report.style import (
+    CASES,
+    GREY,
+    VERMILLION,
+    in_column,
+    legend_above,
+    new_figure,
+    own_axes,
+    plain,
+    plain_ticks,
+)
 from calib.report.svg import hover
 
 _BESIDE_VALUES = 38.0
@@ -51,8 +61,9 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
     """
     cases = list(dict.fromkeys(table["case"]))
     names = list(dict.fromkeys(table["parameter"]))
-    step = 0.125 * len(cases) + 0.1
-    ax = own_axes(ax, 1.0 + max(step, 0.34) * len(names))
+    step = (0.14 if in_column() else 0.125) * len(cases) + 0.1
+    beside = 1.3 + 0.15 * len(cases) if in_column() else 1.0  # in a column the legend has a line for each case
+    ax = own_axes(ax, beside + max(step, 0.34) * len(names))
     height = 0.8 / len(cases)
     unstable = {
         name: any(flag is False for flag in _flags(table[table["parameter"] == name], "stable")) for name in names
@@ -80,9 +91,7 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
             ax.plot(ends, y[at], marker, color="black", markersize=4.5, gid=f"on_limit {case} {marker}")
     units = table.groupby("parameter")["unit"].first().reindex(names).tolist()
     bare = [str(unit) in ("-", "") or pd.isna(unit) for unit in units]
-    ax.set_yticks(
-        range(len(names)), [f"{n}" if no else f"{n} ({u})" for n, u, no in zip(names, units, bare, strict=True)]
-    )
+    labels = [f"{n}" if no else f"{n} ({u})" for n, u, no in zip(names, units, bare, strict=True)]
     ax.set_ylim(len(names) - 0.45, -0.55)
     ax.set_xlim(0.0, 104.0)
     ax.set_xticks(range(0, 101, 20))
@@ -96,7 +105,11 @@ def draw_searches(table: pd.DataFrame, ax: Axes | None = None, best_case: str | 
         if unstable[name]:
             spread = table.loc[table["parameter"] == name, "spread"].max()
             text = "not stable" if math.isnan(spread) else f"not stable, spread {100.0 * spread:.0f} %"
-            _beside(ax, row, text, VERMILLION, _BESIDE_VALUES)
+            if in_column():  # which has no room beside the values
+                labels[row] += f"\n{text}"
+            else:
+                _beside(ax, row, text, VERMILLION, _BESIDE_VALUES)
+    ax.set_yticks(range(len(names)), labels)
     _legend(ax, cases, best_case, any(unstable.values()), any_bound)
     return ax
 
@@ -106,9 +119,10 @@ def _write_bar_values(ax: Axes, rows: pd.DataFrame, y: np.ndarray) -> None:
     values = rows["value"].astype(float)
     if "search_value" in rows:
         values = rows["search_value"].astype(float).fillna(values)
+    size = 7.0 if in_column() else 6.5
     for value, at in zip(values, y, strict=True):
         if not math.isnan(value):
-            _beside(ax, at, plain(value).replace("-", "−"), "black", fontsize=6.5, gid="bar value")
+            _beside(ax, at, plain(value).replace("-", "−"), "black", fontsize=size, gid="bar value")
 
 
 def search_span(table: pd.DataFrame) -> pd.Series[float]:

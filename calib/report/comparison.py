@@ -206,7 +206,7 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ],
     )
     style.separate_cells(ax, rows, columns)
-    ax.figure.colorbar(image, ax=ax, label="MAC (–)", fraction=0.04, pad=0.02, aspect=40)
+    style.colour_bar(ax, image, "MAC (–)")
     return ax
 
 
@@ -227,15 +227,16 @@ def draw_comac(
     Returns
     -------
     Axes
-        One dot per sensor and table; of more than 40 sensors the 40 worst, as the axis label then states. The name of a
-        sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
+        One dot per sensor and table; of more than 40 sensors (18 in a column) the worst, as the axis label then states.
+        The name of a sensor that hardly moves is grey, with its motion: its CoMAC is mostly noise.
     """
     ax = style.own_axes(ax, 3.6)
     series = by_stage({"before": before, "after": after}, key="sensor")
     values = {stage: table["comac"] for stage, table in series.items()}
     newest = list(values.values())[-1]
     order = newest.sort_values(kind="stable", na_position="last").index
-    shown = order[:_MAX_SENSORS]
+    most = int(style.room(_MAX_SENSORS))
+    shown = order[:most]
     x = np.arange(len(shown))
     heights = {name: v[shown].to_numpy(dtype=float) for name, v in values.items()}
     if len(heights) == 2:
@@ -265,7 +266,7 @@ def draw_comac(
     for label, grey in zip(ax.get_xticklabels(), still, strict=True):
         label.set_color(style.GREY if grey else style.BLACK)
     ax.grid(axis="both")
-    note = f"sensor (node and direction), the {_MAX_SENSORS} worst of {len(order)}" if len(order) > _MAX_SENSORS else ""
+    note = f"sensor (node and direction), the {most} worst of {len(order)}" if len(order) > most else ""
     note = note or "sensor (node and direction), worst first"
     hint = "\ngrey: hardly moves (in brackets: of the mode's largest motion, rms), so that noise alone lowers its CoMAC"
     ax.set_xlabel(note + (hint if still.any() else ""))

@@ -335,7 +335,8 @@ def _there(folder: Folder, name: str, stages: Sequence[str]) -> tuple[str, ...]:
 def _scalar_comparison(path: Path) -> pd.DataFrame | None:
     if not path.exists() or comparison_kind(path) != "responses":
         return None
-    return read_results(path, ["response"], ["measured", "model", "error", "error_in_std"], unique="response")
+    numbers = ["measured", "model", "error", "error_in_std"]
+    return read_results(path, ["response"], numbers, blank=["unit"], unique="response")
 
 
 def _failing(path: Path) -> pd.DataFrame | None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import hashlib
+import re
 import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -12,6 +13,7 @@ from functools import cached_property
 from pathlib import Path
 
 import matplotlib
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure
@@ -208,6 +210,7 @@ class Figures:
         with style(COLUMN), upright(self.axes):
             figure = self._headed(drawing.draw(), drawing.caption)
             wrap_labels(figure)
+            fit_cells(figure)
             return figure if figure.get_size_inches()[0] == COLUMN and is_legible(figure) else None
 
     def _headed(self, figure: Figure, caption: str) -> Figure:
@@ -225,12 +228,17 @@ _LEAST = 1.0
 """Narrowest panel in inches of which a drawing can still be read."""
 _LETTERS = 11.5
 """Letters of an axis' label on an inch of the width of the figure."""
+_SMALLEST = 7.0
+"""Smallest text in a column, in points."""
 _PIXEL = 1.0
 """Part of a text outside the figure that is not seen."""
 
 
 def is_legible(figure: Figure) -> bool:
-    """Whether every text lies inside the figure, none covers another of its panel, and every panel has room."""
+    """Whether every text lies inside the figure, none covers another of its panel, and every panel has room.
+
+    In a column no text is smaller than 7 points either.
+    """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # a font may lack characters: the figure is then marked where it is saved
         warnings.filterwarnings("error", message="constrained_layout not applied")  # no room is left for the panels
@@ -244,6 +252,8 @@ def is_legible(figure: Figure) -> bool:
     whole = figure.bbox.padded(_PIXEL)
     beyond = [label for ax in figure.axes for axis in (ax.xaxis, ax.yaxis) for label in _ticks(axis, False)]
     texts = [text for text in figure.findobj(Text) if isinstance(text, Text) and _is_visible(text)]
+    if figure.get_size_inches()[0] <= COLUMN and any(float(text.get_fontsize()) < _SMALLEST for text in texts):
+        return False
     boxes = _boxes(text for text in texts if not any(text is label for label in beyond))
     if not all(whole.containsx(box.x0) and whole.containsx(box.x1) for box in boxes):
         return False
@@ -256,6 +266,39 @@ def wrap_labels(figure: Figure) -> None:
     for ax in figure.axes:
         lines = ax.get_xlabel().split("\n")
         ax.set_xlabel("\n".join(textwrap.fill(line, room, break_long_words=False) for line in lines))
+
+
+def fit_cells(figure: Figure) -> None:
+    """Write the numbers in the cells of matrices as large as a column asks for.
+
+    They lose the zero before the point where they need its room. Where they still have none, the colours stand alone;
+    brackets stay.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # see is_legible
+        figure.draw_without_rendering()
+    for ax in figure.axes:
+        own = [text for text in ax.texts if text.get_transform() is ax.transData]
+        if not ax.images or not own:
+            continue
+        rows, columns = np.asarray(ax.images[-1].get_array()).shape
+        frame = ax.get_window_extent()
+        for text in own:
+            text.set_fontsize(_SMALLEST)
+        for shorten in (str, _without_zero, _brackets):
+            for text in own:
+                text.set_text(shorten(text.get_text()))
+            boxes = _boxes(text for text in own if _is_visible(text))
+            if all(box.width < frame.width / columns and box.height < frame.height / rows for box in boxes):
+                break
+
+
+def _without_zero(words: str) -> str:
+    return re.sub(r"^(\W?)0\.(?=\d)", r"\1.", words).replace("1.00", "1")
+
+
+def _brackets(words: str) -> str:
+    return "()" if words.startswith("(") else ""
 
 
 def _ticks(axis: Axis, inside: bool) -> list[Text]:
@@ -271,8 +314,10 @@ def _is_visible(text: Text) -> bool:
 
 
 def _groups(ax: Axes) -> list[list[Text]]:
-    """Texts of a panel that must not cover each other: labels of either axis with those written into it."""
+    """Texts of a panel that must not cover each other: labels of an axis or the legend, with those written into it."""
+    legend = ax.get_legend()
     groups = [[*_ticks(axis, True), *ax.texts] for axis in (ax.xaxis, ax.yaxis)]
+    groups += [[*legend.get_texts(), *ax.texts]] if legend else []
     return [[text for text in group if _is_visible(text)] for group in groups]
 
 

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from calib.report.numbers import fixed
-from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, WITH, own_axes, stage_words
+from calib.report.style import AFTER, BEFORE, BLACK, GREY, PURPLE, WITH, broken, in_column, own_axes, stage_words
 from calib.report.svg import hover_points
 
 
@@ -62,7 +62,8 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
     Returns
     -------
     Axes
-        One marker per mode and stage, in percent, with the stage as gid; the names of held-out modes are grey.
+        One marker per mode and stage, in percent, with the stage as gid; the names of held-out modes are grey. In a
+        column the measured frequencies alone stand beside it.
     """
     count = len(table)
     ax = own_axes(ax, 0.27 * count + 1.3)
@@ -89,8 +90,11 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
         label.set_color(GREY if held else BLACK)
     heads = {stage: looks[stage].heading for stage in stages}
     kind = f"{table['freq_kind'].iloc[0]} frequency"
-    edge = _columns(ax, table, "freq", {"measured": "measured"} | heads, f"{kind} (Hz)", _GAP, _WIDE)
-    if table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
+    if in_column():  # of the numbers it has room for those that were measured
+        heads = {}
+    title = f"{kind} (Hz)" if heads else "(Hz)"
+    edge = _columns(ax, table, "freq", {"measured": "measured"} | heads, title, _GAP, _WIDE)
+    if heads and table[[f"mac_{stage}" for stage in stages]].notna().to_numpy().any():
         _columns(ax, table, "mac", heads, "MAC (–)", edge + _GAP, _NARROW)
     for line in range(1, count):
         ax.axhline(line - 0.5, color="#E3E3E3", linewidth=0.6)
@@ -100,7 +104,8 @@ def draw_frequencies(table: pd.DataFrame, ax: Axes | None = None, *, looks: Mapp
     ax.tick_params(axis="y", length=0)
     ax.set_xlabel(f"error of the {kind}, model − measured (%)")
     # In one column, so that it stays clear of the headings at the right.
-    ax.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
+    words = [broken(looks[stage].words, 24) for stage in stages]
+    ax.legend(handles, words, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2)
     return ax
 
 

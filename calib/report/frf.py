@@ -227,5 +227,5 @@ def draw_frf_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = 
     style.separate_cells(ax, *values.shape)
     ax.set_xlabel("first line of the band (Hz)")
     ax.set_title(style.added(stage, name).replace(": ", ":\n"))
-    ax.figure.colorbar(image, ax=ax, label="rms residual (standard deviations)", fraction=0.04, pad=0.02, aspect=40)
+    style.colour_bar(ax, image, "rms residual (standard deviations)")
     return ax

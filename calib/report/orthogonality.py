@@ -11,7 +11,17 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
 from calib.report.numbers import fixed
-from calib.report.style import GREY, VERMILLION, legend_above, matrix_height, new_figure, own_axes, separate_cells
+from calib.report.style import (
+    GREY,
+    VERMILLION,
+    colour_bar,
+    legend_above,
+    matrix_height,
+    new_figure,
+    own_axes,
+    room,
+    separate_cells,
+)
 from calib.report.svg import hover_cells
 
 KEPT, LEAK = 0.9, 0.1
@@ -69,7 +79,7 @@ def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
     columns = max(cross.shape[1] - 2, own.shape[1] - 1)
     longest = max((len(str(mode)) for mode in cross["mode"]), default=0)
     height = matrix_height(len(cross), _BESIDE) + 0.35  # room for upright labels
-    beside = columns <= _BESIDE and longest <= _SHORT
+    beside = columns <= room(_BESIDE) and longest <= room(_SHORT)
     figure = new_figure(height if beside else 2 * height)
     axes = figure.subplots(1, 2) if beside else figure.subplots(2, 1)
     draw_cross_orthogonality(cross, axes[0], key=False)
@@ -78,7 +88,7 @@ def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
         axes[1].set_ylabel("")
     for ax, letter, what in zip(axes, "ab", ("to the model", "among themselves"), strict=True):
         ax.set_title(f"({letter}) {what}")
-    figure.colorbar(axes[0].images[0], ax=axes, label=_LABEL, fraction=0.03, pad=0.02, aspect=40)
+    colour_bar(axes, axes[0].images[0], _LABEL)
     figure.legend(handles=[_frame()], loc="outside lower right")
     return figure
 
@@ -88,8 +98,8 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
     rows, columns = values.shape
     ax = own_axes(ax, matrix_height(rows, columns))
     image = ax.imshow(values, cmap="Blues", norm=Normalize(0.0, 1.0), aspect="auto")
-    room = ax.get_position().width * float(ax.get_figure(root=True).get_size_inches()[0])  # type: ignore[union-attr]
-    size = float(np.clip(18.0 * room / max(columns, 1), 4.5, 8.0))
+    width = ax.get_position().width * float(ax.get_figure(root=True).get_size_inches()[0])  # type: ignore[union-attr]
+    size = float(np.clip(18.0 * width / max(columns, 1), 4.5, 8.0))
     separate_cells(ax, rows, columns)
     for i, j in np.argwhere(np.isfinite(values)):
         value = values[i, j]
@@ -103,7 +113,7 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
                     (j - 0.46, i - 0.44), 0.92, 0.88, fill=False, edgecolor=VERMILLION, linewidth=1.4, gid="fails"
                 )
             )
-    wide = _CHARACTER * sum(len(head) + 2 for head in heads) > room
+    wide = _CHARACTER * sum(len(head) + 2 for head in heads) > width
     ax.set_xticks(range(columns), heads, rotation=90 if wide else 0)
     ax.set_yticks(range(rows), table["mode"].astype(str))
     ax.set_xlabel(across)
@@ -114,7 +124,7 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
     ]
     hover_cells(ax, words)
     if key:
-        ax.figure.colorbar(image, ax=ax, label=_LABEL, fraction=0.04, pad=0.02, aspect=40)
+        colour_bar(ax, image, _LABEL)
         legend_above(ax, [_frame()])
     return ax
 

@@ -10,7 +10,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.container import BarContainer
 
-from calib.report.numbers import percent, significant
+from calib.report.numbers import percent, with_unit
 from calib.report.style import AFTER, ATTEMPT, BEFORE, BLACK, WITH, added, legend_above, own_axes, plain, stage_words
 from calib.report.svg import hover
 
@@ -42,7 +42,7 @@ def draw_responses(
     ----------
     before, after, added : DataFrame, optional
         Columns ``response, measured, model``, ``error`` (relative to the response) and ``error_in_std`` (NaN where no
-        standard deviation is known).
+        standard deviation is known); optional ``unit``.
     ax : Axes, optional
     effects : str
         Names of effects that were added after this calibration, for the legend.
@@ -51,7 +51,8 @@ def draw_responses(
     -------
     Axes
         Bars in standard deviations where any are known, otherwise in percent of the response. Beside each bar stand the
-        model's value and its error in percent, beside the name what was measured, where there is room for them. Bars of
+        model's value and its error in percent, beside the name what was measured, both in the response's unit, where
+        there is room for them. Bars of
         more than six responses lie.
     """
     stages = {"before": before, "after": after, "added": added}
@@ -72,20 +73,27 @@ def _write_values(ax: Axes, tables: Mapping[str, pd.DataFrame]) -> None:
     names = list(dict.fromkeys(name for table in tables.values() for name in table.index))
     level = len(names) <= _MOST_UPRIGHT
     apart = "\n" if level else ", "
+    units = {name: unit for table in tables.values() for name, unit in _units(table).items()}
     for bars, table in zip(ax.containers, tables.values(), strict=True):
         known = table.reindex(names)
         texts = [
-            "" if pd.isna(value) else f"{significant(value)}{apart}{percent(error, 1, sign=True)} %"
-            for value, error in zip(known["model"], known["error"], strict=True)
+            "" if pd.isna(value) else f"{with_unit(value, units[name], 4)}{apart}{percent(error, 1, sign=True)} %"
+            for name, value, error in zip(names, known["model"], known["error"], strict=True)
         ]
         ax.bar_label(cast(BarContainer, bars), texts, fontsize=6.5, padding=3)
     measured = pd.concat([table["measured"] for table in tables.values()]).groupby(level=0, sort=False).first()
-    shown = [f"{name}{apart}measured {significant(measured[name])}" for name in names]
+    shown = [f"{name}{apart}measured {with_unit(measured[name], units[name], 4)}" for name in names]
     (ax.set_xticks if level else ax.set_yticks)(range(len(names)), shown)
     if level:
         ax.margins(y=0.16)
     else:
         ax.margins(x=0.3)
+
+
+def _units(table: pd.DataFrame) -> dict[str, str]:
+    """Unit of each response, empty for one without."""
+    units = table["unit"].fillna("") if "unit" in table else [""] * len(table)
+    return {str(name): str(unit) for name, unit in zip(table.index, units, strict=True)}
 
 
 def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
@@ -105,7 +113,7 @@ def draw_response_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: s
         for stage, look in looks.items()
         if (table["stage"] == stage).any()
     }
-    return _bars(bars, "residual, test − model (standard deviations)", ax)
+    return _bars(bars, "residual, measured − model (standard deviations)", ax)
 
 
 def _bars(series: dict[str, tuple[str, pd.Series]], label: str, ax: Axes | None) -> Axes:

@@ -15,7 +15,19 @@ from matplotlib.patches import Patch
 from matplotlib.transforms import blended_transform_factory
 
 from calib.report.numbers import fixed, significant, with_unit
-from calib.report.style import BLACK, BLUE, GREY, ORANGE, SKY, legend_above, matrix_height, own_axes, separate_cells
+from calib.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    SKY,
+    colour_bar,
+    in_column,
+    legend_above,
+    matrix_height,
+    own_axes,
+    separate_cells,
+)
 from calib.report.svg import hover, hover_cells
 
 RESPONSE_KINDS = {
@@ -86,7 +98,8 @@ def draw_sensitivity(
         ax.text(j, i, words, ha="center", va="center", fontsize=own_size, color=colour)
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)
-    ranges = {} if space is None else {str(r["parameter"]): _range(r) for r in space.to_dict("records")}
+    # The names alone in a column: the ranges stand in parameter_space.csv.
+    ranges = {} if space is None or in_column() else {str(r["parameter"]): _range(r) for r in space.to_dict("records")}
     ax.set_yticks(range(rows), [p + ranges.get(p, "") for p in table["parameter"].astype(str)])
     hover_cells(
         ax,
@@ -103,7 +116,7 @@ def draw_sensitivity(
         blank += ";\nin brackets: lent by other parameters, through a constraint or prior"
     modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
-    ax.figure.colorbar(image, ax=ax, label=label, fraction=0.04, pad=0.02, aspect=40)
+    colour_bar(ax, image, label)
     return ax
 
 

@@ -19,6 +19,7 @@ from matplotlib import font_manager
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.cm import ScalarMappable
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
@@ -163,12 +164,19 @@ class _PlainNumbers(LogFormatter):
         return f"{x:.3g}" if super().__call__(x, pos) else ""
 
 
+def broken(label: str, letters: int = 36) -> str:
+    """A label of a legend, broken where it is too long: after so many letters in a column."""
+    return textwrap.fill(label, letters if in_column() else 96)
+
+
 def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:
-    """Put the legend above the Axes, left-aligned, in as many columns as its labels allow."""
+    """Put the legend above the Axes, left-aligned, in as many columns as its labels allow; long ones are broken."""
     shown = ax.get_legend_handles_labels()[0] if handles is None else handles
-    longest = max((len(str(h.get_label())) for h in shown), default=1)
+    labels = [broken(str(h.get_label())) for h in shown]
+    longest = max((len(line) for label in labels for line in label.split("\n")), default=1)
     columns = max(1, min(len(shown), int(room(105) / (longest + 9))))
-    ax.legend(handles=shown, loc="lower left", bbox_to_anchor=(0.0, 1.0), borderaxespad=0.2, ncols=columns)
+    place: dict[str, Any] = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0), "borderaxespad": 0.2}
+    ax.legend(shown, labels, ncols=columns, **place)
 
 
 def stage_words(stage: str, effects: str = "") -> str:
@@ -197,6 +205,17 @@ def added(stage: str, name: str = "") -> str:
 def plain(value: float) -> str:
     """Format with four significant digits, without an exponent where that stays readable."""
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def in_column() -> bool:
+    """Whether new figures are as narrow as a column."""
+    return _width.get() <= COLUMN
+
+
+def colour_bar(axes: Any, image: ScalarMappable, label: str, aspect: int = 40) -> None:
+    """Add a colour bar at the right of one or several Axes; in a column, which is narrow, below them."""
+    figure, place = np.ravel(axes)[0].figure, "bottom" if in_column() else "right"
+    figure.colorbar(image, ax=axes, label=label, fraction=0.04, pad=0.02, aspect=aspect, location=place)
 
 
 def matrix_height(rows: int, columns: int) -> float:

@@ -165,7 +165,8 @@ def draw_shapes(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = 
     _name_largest(ax, x, y, names)
     for line in (ax.axhline, ax.axvline):
         line(0.0, color=GREY, linewidth=0.6)
-    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="change pattern (σ)", ylabel="residual (σ)")
+    ax.set(xlim=(-reach, reach), ylim=(-reach, reach), xlabel="change pattern (σ)")
+    ax.set_ylabel("residual, measured − model (σ)")
     ax.set_aspect("equal", adjustable="box", anchor="N")
     return ax
 
@@ -253,7 +254,7 @@ def _signature(attempt: bool) -> dict[str, Any]:
 
 def _handles(attempt: bool) -> list[Artist]:
     return [
-        Patch(label="residual (test − model)", **_RESIDUAL),
+        Patch(label="residual (measured − model)", **_RESIDUAL),
         Patch(label="change pattern", **_signature(attempt)),
         Line2D([], [], label="remaining", **_LEFT),
     ]

@@ -43,6 +43,7 @@ Claims = Mapping[str, str]
 MESH = (61, 40)
 POINTS = 41
 REPEATS = 5
+UNITS = {"load": "N", "growth": "mm", "freq": "Hz"}
 SCATTER = {"load": 0.01, "growth": 0.02, "freq": 0.004}
 """Of one repeat, relative, by kind."""
 MEASURED = (
@@ -179,10 +180,10 @@ def write(folder: Path, measured: Mapping[float, np.ndarray]) -> None:
         head = [
             f"# SYNTHETIC test of a tire at {pressure:g} kPa, made by make_twin.py: {REPEATS} repeats.",
             "# growth by inflation in mm, load at a deflection of so many mm in N, frequency of hoop order n in Hz",
-            "repeat,response,value",
+            "repeat,response,value,unit",
         ]
         rows = [
-            f"{k},{name},{value:.6g}"
+            f"{k},{name},{value:.6g},{UNITS[name.split('_')[0]]}"
             for k, one in enumerate(table, 1)
             for name, value in zip(MEASURED, one, strict=True)
         ]

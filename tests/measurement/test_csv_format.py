@@ -5,6 +5,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import (
     parse_direction,
     read_modes_csv,
+    read_response_units,
     read_responses_csv,
     read_sensor_table,
     read_shapes_csv,
@@ -158,6 +159,16 @@ def test_a_mistake_in_the_responses_is_named(tmp_path, lines, where):
     with pytest.raises(InputError) as caught:
         read_responses_csv(path)
     assert str(path) in str(caught.value) and where in str(caught.value)
+
+
+def test_responses_have_the_units_of_their_column(tmp_path):
+    path = write(tmp_path, "repeat,response,value,unit\n1,p,1.5,N\n1,q,2,\n2,p,1.6,N\n2,q,3,mm\n")
+    assert read_response_units(path) == {"p": "N", "q": "mm"}
+    path = write(tmp_path, "response,value\np,1.5\n")
+    assert read_response_units(path) == {} and read_responses_csv(path) == {"": {"p": (1.5, None)}}
+    path = write(tmp_path, "repeat,response,value,unit\n1,p,1.5,N\n2,p,1.6,kN\n")
+    with pytest.raises(InputError, match="line 3, column unit: response 'p' has the unit 'N' before"):
+        read_response_units(path)
 
 
 def test_decimal_commas_and_points_are_not_mixed(tmp_path):

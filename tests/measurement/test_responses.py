@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+import calib
 from calib.correlation.response.problem import response_dof
 from calib.errors.errors import InputError
 from calib.measurement.files.read import read_modes
@@ -23,6 +24,17 @@ def table(path, repeats, seed=0, change=lambda k, name, value: value):
                 lines.append(f"{name},{given!r},run {k + 1}")
     path.write_text("\n".join(lines) + "\n")
     return kept
+
+
+def test_units_reach_the_comparison(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("response,value,unit\nload,182,N\nratio,1.2,\n")
+    measured = read_responses(path)
+    assert str(measured).splitlines()[1].split() == ["response", "value", "std", "unit"]
+    space = calib.ParameterSpace((calib.Parameter("k", 1.0, 0.5, 2.0),))
+    model = calib.FunctionModel("beam", space, lambda v: {"load": 180 * v["k"], "ratio": v["k"]})
+    compared = calib.Problem(model, calib.ResponseTest(measured)).compare()
+    assert compared.table["unit"].tolist() == ["N", ""]
 
 
 def test_each_response_is_the_mean_over_the_repeats_that_hold_it(tmp_path):

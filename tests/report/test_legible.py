@@ -1,7 +1,14 @@
+import numpy as np
+import pandas as pd
 import pytest
+from matplotlib.text import Text
 
-from calib.report.figures import is_legible, wrap_labels
-from calib.report.style import COLUMN, WIDTH, new_figure, plain_ticks, style
+from calib.report.calibration import draw_searches
+from calib.report.comparison import draw_comac, draw_mac_matrix
+from calib.report.figures import fit_cells, is_legible, wrap_labels
+from calib.report.frequencies import draw_frequencies
+from calib.report.sensitivity import draw_sensitivity
+from calib.report.style import COLUMN, WIDTH, legend_above, new_figure, plain_ticks, style
 
 
 def panel(width, draw):
@@ -85,3 +92,77 @@ def test_panels_without_any_room_are_not_legible():
         )
 
     assert not is_legible(panel(COLUMN, draw))
+
+
+def test_small_text_is_legible_on_a_page_only():
+    def draw(ax):
+        ax.text(0.5, 0.5, "0.85", fontsize=6.5)
+
+    assert is_legible(panel(WIDTH, draw)) and not is_legible(panel(COLUMN, draw))
+
+
+def test_a_value_over_the_legend_is_not_legible():
+    def draw(at):
+        def of(ax):
+            ax.plot([0, 1], label="calibrated")
+            legend_above(ax)
+            ax.text(0.08, at, "measured", transform=ax.transAxes)
+
+        return is_legible(panel(WIDTH, of))
+
+    assert draw(0.5) and not draw(1.03)
+
+
+def in_a_column(draw):
+    with style(COLUMN):
+        ax = draw()
+        wrap_labels(ax.figure)
+        fit_cells(ax.figure)
+        return ax
+
+
+def matrix(columns):
+    values = np.round(np.random.default_rng(1).random((4, columns)), 2)
+    table = pd.DataFrame(values, columns=[f"{k} ({k}.00 Hz)" for k in range(columns)])
+    return table.assign(mode=["1B", "2B", "3B", "4B"])
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize(("columns", "letters"), [(8, 4), (16, 3), (24, 0)])
+def test_cells_of_a_column_hold_as_much_of_their_number_as_they_have_room_for(columns, letters):
+    table = matrix(columns)
+    ax = in_a_column(lambda: draw_mac_matrix(table))
+    assert is_legible(ax.figure) and ax.figure.get_size_inches()[0] == COLUMN
+    values = table.drop(columns="mode").to_numpy().ravel()
+    expected = [f"{v:.2f}"[4 - letters :] if letters else "" for v in values]
+    assert [text.get_text() for text in ax.texts] == expected
+    assert all(text.get_fontsize() >= 7 for text in ax.figure.findobj(Text) if text.get_text())
+
+
+def test_what_a_constraint_lends_stays_in_brackets_where_there_is_no_room_for_numbers():
+    names = [f"natural_freq_{k}" for k in range(20)]
+    whole = pd.DataFrame(np.full((2, 20), 0.6), columns=names).assign(parameter=["stiffness_of_the_rail", "mass"])
+    own = whole.copy()
+    own.loc[1, names] = 0.1
+    ax = in_a_column(lambda: draw_sensitivity(whole, partial=own))
+    cells = [text.get_text() for text in ax.texts if text.get_transform() is ax.transData]
+    assert cells == [""] * 20 + ["()"] * 20
+
+
+@pytest.mark.medium
+def test_a_column_has_the_searches_with_their_stability_below_the_names(parameters):
+    ax = in_a_column(lambda: draw_searches(parameters))
+    assert is_legible(ax.figure)
+    names = list(dict.fromkeys(parameters["parameter"]))
+    unstable = set(parameters.loc[parameters["stable"] == False, "parameter"])  # noqa: E712
+    labels = [label.get_text() for label in ax.get_yticklabels()]
+    assert unstable and {name for name, label in zip(names, labels, strict=True) if "not stable" in label} == unstable
+
+
+def test_a_column_has_the_worst_sensors_and_measured_frequencies_alone(modes):
+    names = [f"{k}y" for k in range(30)]
+    ax = in_a_column(lambda: draw_comac(pd.DataFrame({"sensor": names, "comac": np.linspace(0.2, 1.0, 30)})))
+    assert is_legible(ax.figure) and [t.get_text() for t in ax.get_xticklabels()] == names[:18]
+    assert "the 18 worst of 30" in ax.get_xlabel().replace("\n", " ")
+    ax = in_a_column(lambda: draw_frequencies(modes))
+    assert is_legible(ax.figure) and {t.get_gid() for t in ax.texts} - {None} == {"freq_measured"}

@@ -28,6 +28,13 @@ def test_both_stages_have_bars_values_and_percent_in_one_chart():
     assert [label.get_text() for label in ax.get_xticklabels()] == ["load\nmeasured 1", "lift\nmeasured 2"]
 
 
+def test_values_stand_in_the_unit_of_their_response():
+    before = table(["load", "lift"], [0.1, -0.25]).assign(unit=["N", np.nan])
+    ax = draw_responses(before)
+    assert [text.get_text().split("\n")[0] for text in ax.texts] == ["1.100 N", "1.500"]
+    assert [label.get_text() for label in ax.get_xticklabels()] == ["load\nmeasured 1 N", "lift\nmeasured 2"]
+
+
 @pytest.mark.parametrize("count", [10, 40])
 def test_many_responses_keep_their_names_and_of_very_many_no_value_is_written(count):
     names = [f"r{k}" for k in range(count)]

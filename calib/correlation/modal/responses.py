@@ -170,7 +170,9 @@ def response_problem(
     """
     if isinstance(model, FunctionModel):
         errors = model.metamodels.errors if model.metamodels else {}
-        return FunctionProblem(model.space, model.function, used, model.fingerprint, repeats, measured.shares, errors)
+        return FunctionProblem(
+            model.space, model.function, used, model.fingerprint, repeats, measured.shares, errors, measured.units
+        )
     function = ModalResponses.of(model, measured.targets, place)
     mark = f"{model.fingerprint} {function.count} modes"
     return ModalResponseProblem(model.space, function, used, mark, repeats, measured.shares)

@@ -42,6 +42,8 @@ class FunctionProblem:
         Part of the variance of each target that the repeats estimate; default 1.
     errors : mapping from str to float
         Standard deviation with which the function predicts each response, where it does not compute it.
+    units : mapping from str to str
+        Unit of each response that has one, as text for tables and figures.
     """
 
     space: ParameterSpace
@@ -51,6 +53,7 @@ class FunctionProblem:
     repeats: float | None = None
     shares: Mapping[str, float] = field(default_factory=dict)
     errors: Mapping[str, float] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if not self.targets:

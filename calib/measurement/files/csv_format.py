@@ -295,6 +295,8 @@ def place_of_node(path: Path, node: int) -> Place | None:
 def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | None]]]:
     """Scalar responses from a table ``response, value, std, repeat``; ``std`` may be absent or empty (unknown).
 
+    A column ``unit`` is that of `read_response_units`.
+
     With a column ``repeat`` the table holds many repeats, each under its own label; a response that a repeat lacks has
     no line there.
 
@@ -310,7 +312,7 @@ def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | N
         With file, line and column, for anything that is not such a table, and responses given twice.
     """
     found: dict[str, dict[str, tuple[float, float | None]]] = {}
-    for row in read_rows(path, ("response", "value"), ("std", "repeat")):
+    for row in read_rows(path, ("response", "value"), ("std", "repeat", "unit")):
         name, value, own = row.text("response"), row.number("value"), found.setdefault(_label(row), {})
         if name in own:
             raise row.error("response", f"response {name!r} is given twice", "remove one of the lines")
@@ -321,3 +323,19 @@ def read_responses_csv(path: Path) -> dict[str, dict[str, tuple[float, float | N
             raise row.error("std", f"standard deviation {std:g} is too small", "correct it, or leave it empty")
         own[name] = (value, None if math.isnan(std) else std)
     return found
+
+
+def read_response_units(path: Path) -> dict[str, str]:
+    """Units of the responses of such a table, as text, from its column ``unit``; a response without one has no entry.
+
+    Raises
+    ------
+    InputError
+        Where repeats give a response different units.
+    """
+    units: dict[str, str] = {}
+    for row in read_rows(path, ("response", "value"), ("std", "repeat", "unit")):
+        name, unit = row.text("response"), row.cells.get("unit", "")
+        if unit and units.setdefault(name, unit) != unit:
+            raise row.error("unit", f"response {name!r} has the unit {units[name]!r} before", "give one unit")
+    return units
