@@ -1,19 +1,25 @@
-"""How often generic effects name rightly what an imported frame lacks.
+"""How often generic effects name rightly what an imported frame or plate lacks.
 
-    python tests/benchmarks/generic_rates.py run --cases 60
+    python tests/benchmarks/generic_rates.py run --cases 39
+    python tests/benchmarks/generic_rates.py run --of plate --cases 21
     python tests/benchmarks/generic_rates.py report --write docs/rates_generic.csv
 
-Every case is a plane frame of its own: one or two bays, two or three storeys, spans, heights, sensors and true
-parameters drawn anew. It is given as matrices without a library: in about every second case one K and one M, else those
-of every member and support, which share parameters. The test comes from a mesh twice as fine, on which the effect
-is made otherwise than the candidates are: a mass is spread over a length and lies anywhere on a member, a support gives
-way less sideways, a thinner member loses mass too, a strut has a mass; a joint is a hinge at the end of a beam. A
-section cut over half of a member, a storey with softer columns, and a thinner member where matrices name none are in no
-form of the candidates.
+Every case is a structure of its own. A frame is plane: one or two bays, two or three storeys, spans, heights, sensors
+and true parameters drawn anew. It is given as matrices without a library: in about every second case one K and one M,
+else those of every member and support, which share parameters. The test comes from a mesh twice as fine, on which the
+effect is made otherwise than the candidates are: a mass is spread over a length and lies anywhere on a member, a
+support gives way less sideways, a thinner member loses mass too, a strut has a mass; a joint is a hinge at the end of a
+beam. A section cut over half of a member, a storey with softer columns, and a thinner member where matrices name none
+are in no form of the candidates.
 
-What is named is right if it is of the kind that was made and at its place: within a third of a member for masses and
-supports, on that member for sections, between those columns for struts. A set of several that cannot be told apart is
-right if its best is; one that holds the truth elsewhere is no wrong name.
+A plate in bending stands on four to six springs, given as matrices of six panels and the supports, or as one K and one
+M; the test comes from another mesh, of six elements along a panel for four. A mass is spread over some nodes, a panel
+is thinner, a support gives way, a stop on some nodes touches it. A cut along a line, a layer on one half, and a thinner
+panel where matrices name none are in no form of the candidates.
+
+What is named is right if it is of the kind that was made and at its place: within a third of a member or half a panel
+for masses, supports and stops, on that member or panel for sections, between those columns for struts. A set of several
+that cannot be told apart is right if its best is; one that holds the truth elsewhere is no wrong name.
 """
 
 from __future__ import annotations
@@ -32,7 +38,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import date
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import pandas as pd
@@ -52,6 +58,7 @@ from calib.problem.space import Parameter
 from calib.structure.effects.composed import Connection, PointMass, ScaledParts, SoftJoint
 from calib.structure.effects.compositions import generic_effects
 from calib.structure.model import StructuralModel
+from models.fem import thin_plate
 
 COARSE, FINE = 6, 12
 MODES, SOLVED = 7, 10
@@ -59,8 +66,12 @@ FREQ, SHAPE = 1e-3, 0.01
 """Standard deviations: of a frequency over it, of a shape over its largest entry."""
 INSIDE = ("mass", "support", "thin", "strut", "joint")
 OUTSIDE = ("notch", "storey")
+PLATES, PLATE_INSIDE, PLATE_OUTSIDE = 1000, ("mass", "support", "thin", "stop"), ("cut", "layer")
+"""Number of the first plate, and what they lack."""
+PANEL, FINER = 4, 6
+"""Elements along each panel of a plate."""
 DETECTABLE = 6.0
-PRINTED = ("number", "scenario", "parts", "visible", "verdict", "outcome", "best", "error", "seconds")
+PRINTED = ("number", "of", "scenario", "parts", "visible", "verdict", "outcome", "best", "error", "seconds")
 SOURCES = (
     "tests/benchmarks/generic_rates.py",
     "tests/benchmarks/rates_frame.py",
@@ -87,6 +98,8 @@ class Case:
 def case(number: int) -> Case:
     """The case of a number."""
     rng = np.random.default_rng([20261129, number])
+    if number >= PLATES:
+        return _plate_case(number, rng)
     kinds = ("", *INSIDE, *INSIDE, *OUTSIDE)
     hidden, parts = kinds[number % len(kinds)], bool(rng.random() < 0.5)
     spans = rng.uniform(4.0, 7.0, 1 + int(rng.random() < 0.6)).round(2).tolist()
@@ -104,14 +117,15 @@ def case(number: int) -> Case:
     return Case(hidden, known, parts, model, noisy, (with_it, without), right, size)
 
 
-def _as_one(frame: Frame) -> StructuralModel:
-    """The frame as one K and one M, as codes export it."""
-    whole = frame.model()
+def _as_one(one: Frame | Plate) -> StructuralModel:
+    """A structure as one K and one M, as codes export it."""
+    whole = one.model()
     k, _, m = whole.matrices({})
-    dofs = [(n + 1, d, *frame.points[n]) for n in range(len(frame.points)) for d in ("x", "z", "ry")]
+    moves = ("x", "z", "ry") if isinstance(one, Frame) else Plate.moves
+    dofs = [(n + 1, d, *one.points[n]) for n in range(len(one.points)) for d in moves]
     return calib.StructuralModel.from_matrices(
         {"K": (k, "stiffness")}, {"M": m}, dofs=pd.DataFrame(dofs, columns=["node", "direction", "x", "y", "z"]),
-        parameters=[Parameter("stiffness", 1.0, 0.5, 1.5, "-", prior_sd=0.1)], name="frame",
+        parameters=[Parameter("stiffness", 1.0, 0.5, 1.5, "-", prior_sd=0.1)], name=whole.name,
     )  # fmt: skip
 
 
@@ -165,14 +179,14 @@ def _made(hidden: str, coarse: Frame, fine: Frame, rng: np.random.Generator, par
         along, kg = float(rng.uniform(0.2, 0.8)), 250.0 * size
         at = ends[0] + along * (ends[1] - ends[0])
         return {}, {"hidden": kg * fine.spread(member, along, 0.9)}, lambda e: _kind(e) == "mass" and (
-            _within(e, coarse, at, near) or _on(e, member)
+            _within(e, at, near) or _on(e, member)
         ), kg  # fmt: skip
     if hidden == "support":
         foot, x = 1 + int(rng.integers(bays + 1)), min(0.55 * size, 0.9)
         change = -x * fine.support(foot, (0.9, 1.0, 1.0))
         at = np.array(coarse.points[foot - 1])
         return {"hidden": (change, "k_ground")}, {}, lambda e: _kind(e) in ("support", "stiffness") and (
-            _within(e, coarse, at, near) or _on(e, f"support {foot}")
+            _within(e, at, near) or _on(e, f"support {foot}")
         ), x  # fmt: skip
     if hidden in ("thin", "notch"):
         x, high = (0.25 * size, 1.0) if hidden == "thin" else (min(0.5 * size, 0.8), 0.5)
@@ -204,6 +218,150 @@ def _made(hidden: str, coarse: Frame, fine: Frame, rng: np.random.Generator, par
     return {}, {}, nothing, 0.0
 
 
+# -- plates ------------------------------------------------------------------------------------------------------------
+
+
+class Plate:
+    """A thin plate of three by two panels on springs, with so many elements along each panel."""
+
+    moves: ClassVar = ("z", "rx", "ry")
+
+    def __init__(
+        self, elements: int, sides: tuple[float, float], thickness: float, stands: list[tuple[float, float]]
+    ) -> None:
+        self.elements, self.thickness = elements, thickness
+        self.nx, self.ny = 3 * elements, 2 * elements
+        self.a, self.b = sides[0] / self.nx, sides[1] / self.ny
+        self.points = [(i * self.a, j * self.b, 0.0) for j in range(self.ny + 1) for i in range(self.nx + 1)]
+        self.stands = [self.near((x * sides[0], y * sides[1]), 0.0)[0] for x, y in stands]
+        self.size = 3 * len(self.points)
+
+    def near(self, at: tuple[float, float], within: float) -> list[int]:
+        """The nearest node, and the others within a distance."""
+        away = np.hypot(*(np.array(self.points)[:, :2] - at).T)
+        return [int(np.argmin(away)), *(n for n in np.flatnonzero(away <= within).tolist() if n != np.argmin(away))]
+
+    def sum(self, element: np.ndarray, kept: Callable[[int, int], bool]) -> sp.csr_array:
+        """The same matrix of all elements (i, j) that are kept."""
+        rows, columns, numbers = [], [], []
+        for j in range(self.ny):
+            for i in range(self.nx):
+                if kept(i, j):
+                    first = j * (self.nx + 1) + i
+                    corners = (first, first + 1, first + self.nx + 2, first + self.nx + 1)
+                    dofs = np.concatenate([3 * n + np.arange(3) for n in corners])
+                    rows.append(np.repeat(dofs, 12))
+                    columns.append(np.tile(dofs, 12))
+                    numbers.append(element.ravel())
+        place = (np.concatenate(rows), np.concatenate(columns))
+        return sp.csr_array(sp.coo_array((np.concatenate(numbers), place), (self.size, self.size)))
+
+    def stiffness(self, kept: Callable[[int, int], bool]) -> sp.csr_array:
+        """Bending of some elements."""
+        return self.sum(STEEL * thin_plate.stiffness(self.a, self.b, self.thickness, 0.3), kept)
+
+    def mass(self, kept: Callable[[int, int], bool], per_area: float = 0.0) -> sp.csr_array:
+        """Of some elements, of their own or of so many kg/m^2."""
+        return self.sum(thin_plate.mass(self.a, self.b, per_area or DENSITY * self.thickness), kept)
+
+    def on(self, nodes: list[int], number: float) -> sp.csr_array:
+        """A mass or a spring along z, shared by some nodes."""
+        dofs = 3 * np.array(nodes)
+        return sp.csr_array(
+            sp.coo_array((np.full(len(dofs), number / len(dofs)), (dofs, dofs)), (self.size, self.size))
+        )
+
+    def panel(self, k: int) -> Callable[[int, int], bool]:
+        """The elements of a panel, counted from 0."""
+        return lambda i, j: i // self.elements == k % 3 and j // self.elements == k // 3
+
+    def model(self, stiffness: dict[str, Any] | None = None, mass: dict[str, Any] | None = None) -> StructuralModel:
+        """The plate as matrices of its panels and supports; further terms have the multiplier given with them."""
+        own: dict[str, Any] = {f"panel {k + 1}": (self.stiffness(self.panel(k)), "E_plate") for k in range(6)}
+        own |= {f"support {k + 1}": (self.on([n], SPRING), "k_supports") for k, n in enumerate(self.stands)}
+        masses: dict[str, Any] = {f"steel of panel {k + 1}": (self.mass(self.panel(k)), "m_plate") for k in range(6)}
+        dofs = [(n + 1, d, *point) for n, point in enumerate(self.points) for d in self.moves]
+        priors = {"E_plate": 0.08, "m_plate": 0.05, "k_supports": 0.25}
+        return calib.StructuralModel.from_matrices(
+            own | dict(stiffness or {}), masses | dict(mass or {}), name="plate",
+            dofs=pd.DataFrame(dofs, columns=["node", "direction", "x", "y", "z"]),
+            parameters=[Parameter(name, 1.0, 0.5, 1.8, "-", prior_sd=sd) for name, sd in priors.items()],
+        )  # fmt: skip
+
+
+SPRING = 4e5
+"""Of each support of a plate, N/m."""
+
+
+def _plate_case(number: int, rng: np.random.Generator) -> Case:
+    """A plate with its test."""
+    kinds = ("", *PLATE_INSIDE, *PLATE_INSIDE, *PLATE_OUTSIDE)
+    hidden, parts = kinds[number % len(kinds)], bool(rng.random() < 0.5)
+    sides = (float(rng.uniform(1.4, 2.2)), float(rng.uniform(0.8, 1.2)))
+    thickness = float(rng.uniform(0.006, 0.012))
+    stands = [(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0), (0.5, 0.0), (0.5, 1.0)][: int(rng.choice([4, 5, 6]))]
+    coarse, fine = (Plate(n, sides, thickness, stands) for n in (PANEL, FINER))
+    model = coarse.model() if parts else _as_one(coarse)
+    grid = [(i / 6 * sides[0], j / 4 * sides[1]) for j in range(5) for i in range(7)]
+    nodes = [coarse.near(at, 0.0)[0] for at in grid if rng.random() < 0.7]
+    sensors = tuple(Sensor(n + 1, "z", coarse.points[n]) for n in nodes)
+    names = ("E_plate", "m_plate", "k_supports") if parts else ("stiffness",)
+    values = {n: 1 + 0.5 * float(model.space[n].prior_width) * float(rng.standard_normal()) for n in names}
+    true = values if parts else dict.fromkeys(("E_plate", "k_supports"), values["stiffness"])
+    stiffness, mass, right, size = _made_of_plate(hidden, coarse, fine, sides, rng)
+    with_it, without = (_measured(fine.model(k, m), true, sensors) for k, m in ((stiffness, mass), ({}, {})))
+    known = hidden in PLATE_INSIDE and (parts or hidden != "thin")
+    return Case(hidden, known, parts, model, _noisy(with_it, rng), (with_it, without), right, size)
+
+
+def _made_of_plate(
+    hidden: str, coarse: Plate, fine: Plate, sides: tuple[float, float], rng: np.random.Generator
+) -> Made:
+    """Terms of stiffness and mass on the other mesh, what is right, and the size of the effect."""
+    size, panel = float(rng.uniform(0.6, 1.6)), int(rng.integers(6))
+    x, y = (float(rng.uniform(0.15, 0.85)) * side for side in sides)
+    near = max(sides[0] / 6, sides[1] / 4)
+    at, touched = np.array([x, y, 0.0]), fine.near((x, y), 1.2 * max(fine.a, fine.b))
+    if hidden == "mass":
+        kg = 0.04 * size * DENSITY * coarse.thickness * sides[0] * sides[1]
+        return {}, {"hidden": fine.on(touched, kg)}, lambda e: _kind(e) == "mass" and _within(e, at, near), kg
+    if hidden == "stop":
+        k = 0.08 * SPRING * size
+        return {"hidden": fine.on(touched, k)}, {}, lambda e: _stops(e, at, near), k
+    if hidden == "support":
+        k, share = int(rng.integers(len(coarse.stands))), min(0.45 * size, 0.9)
+        place = np.array(coarse.points[coarse.stands[k]])
+        change = -share * fine.on([fine.stands[k]], SPRING)
+        return {"hidden": (change, "k_supports")}, {}, lambda e: _kind(e) in ("support", "stiffness") and (
+            _within(e, place, near) or _on(e, f"support {k + 1}")
+        ), share  # fmt: skip
+    if hidden == "thin":
+        less = 0.12 * size
+        stiffness = (-(1 - (1 - less) ** 3) * fine.stiffness(fine.panel(panel)), "E_plate")
+        lost = (-less * fine.mass(fine.panel(panel)), "m_plate")
+        return {"hidden": stiffness}, {"hidden": lost}, lambda e: _on(e, f"panel {panel + 1}"), less
+    if hidden == "cut":
+        row, length = int(rng.integers(1, fine.nx - 1)), int(fine.ny * min(0.4 * size, 0.7))
+        change = -0.85 * fine.stiffness(lambda i, j: i == row and j < length)
+        return {"hidden": (change, "E_plate")}, {}, lambda e: False, length * fine.b
+    if hidden == "layer":
+        kg = 0.08 * size * DENSITY * coarse.thickness
+        return {}, {"hidden": fine.mass(lambda i, j: i < fine.nx // 2, kg)}, lambda e: False, kg
+    return {}, {}, lambda e: False, 0.0
+
+
+def _stops(effect: Effect, at: np.ndarray, near: float) -> bool:
+    """Whether a candidate is one spring to the ground along z near a place."""
+    build = effect.build
+    if not isinstance(build, Connection) or build.direction != 2 or len(build.ends) != 1 or build.ends[0][1]:
+        return False
+    (_, point), _ = build.ends[0]
+    return math.dist(point, at.tolist()) <= near
+
+
+# -- what is right -----------------------------------------------------------------------------------------------------
+
+
 def _kind(effect: Effect) -> str:
     """What a candidate changes."""
     build = effect.build
@@ -216,7 +374,7 @@ def _kind(effect: Effect) -> str:
     return "spring"
 
 
-def _within(effect: Effect, frame: Frame, at: np.ndarray, near: float) -> bool:
+def _within(effect: Effect, at: np.ndarray, near: float) -> bool:
     """Whether a candidate that acts at one point does so near a place."""
     build, places = effect.build, list[Place]()
     if isinstance(build, PointMass):
@@ -265,6 +423,7 @@ def run(number: int, code: str) -> dict[str, Any]:
     group = "nothing" if not one.hidden else "single" if one.known else "outside"
     return {
         "number": number, "code": code, "group": group, "hidden": [one.hidden] if one.hidden else [],
+        "of": one.model.name,
         "scenario": one.hidden or "nothing", "parts": one.parts, "magnitudes": {one.hidden: one.size},
         "n_dof": one.model.n_dof,
         "verdict": found.verdict, "credible": list(found.credible), "candidates": len(library),
@@ -330,7 +489,8 @@ def main() -> None:
     """Run or report."""
     arguments = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     arguments.add_argument("what", choices=("run", "report"))
-    arguments.add_argument("--cases", type=int, default=60)
+    arguments.add_argument("--of", choices=("frame", "plate"), default="frame")
+    arguments.add_argument("--cases", type=int, default=39)
     arguments.add_argument("--skip", type=int, default=0)
     arguments.add_argument("--folder", type=Path, default=ROOT / "results/generic")
     arguments.add_argument("--write", type=Path)
@@ -344,7 +504,8 @@ def main() -> None:
     rows = map(json.loads, file.read_text("utf-8").splitlines() if file.exists() else ())
     done = {row["number"] for row in rows if row["code"] == code}
     with file.open("a", encoding="utf-8") as out:
-        for number in range(given.skip, given.cases):
+        first = PLATES if given.of == "plate" else 0
+        for number in range(first + given.skip, first + given.cases):
             if number in done:
                 continue
             try:
