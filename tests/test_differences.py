@@ -116,3 +116,30 @@ def test_without_a_continuous_parameter_the_derivative_has_no_columns():
     space = ParameterSpace((Parameter("n", 2.0, 1.0, 4.0, "-", integer=True),))
     asked = responses(lambda v: {"a": v["n"], "b": 2 * v["n"]}, {"a": (2.0, 0.1), "b": (4.0, 0.1)}, space)
     assert asked.jacobian({"n": 2.0}, ()).shape == (2, 0)
+
+
+def test_a_one_sided_difference_takes_one_point_and_the_other_end_only_where_that_one_tells_nothing():
+    (p,) = box(1).parameters
+    asked = []
+
+    def curve(values):
+        asked.append(values["p0"])
+        if values["p0"] > 3.0:
+            raise EvaluationError("too far")
+        return np.array([values["p0"] ** 2, math.nan if values["p0"] > 2.0 else values["p0"]])
+
+    slope = difference(curve, {"p0": 1.0}, p, 1e-3, one_sided=True)
+    np.testing.assert_allclose(slope, [2.0 + 8e-3, 1.0])  # twice the step of 1e-3 of the range
+    assert asked == [1.008, 1.0]
+    for value, ends in ((4.0, []), (3.0, [3.008, 2.992]), (2.0, [2.008, 1.992])):
+        asked.clear()
+        if not ends:  # at a limit it goes the other way
+            with pytest.raises(EvaluationError, match="too far"):
+                difference(curve, {"p0": value}, p, 1e-3, one_sided=True)
+            assert asked == [3.992]
+            continue
+        np.testing.assert_allclose(difference(curve, {"p0": value}, p, 1e-3, one_sided=True)[0], 2 * value, rtol=2e-3)
+        assert asked[:2] == pytest.approx(ends)
+    near = 4.0 - 1e-9  # not to a limit that is too near
+    found = difference(lambda v: np.array([round(v["p0"], 7)]), {"p0": near}, p, 1e-3, one_sided=True)
+    np.testing.assert_allclose(found, [1.0], rtol=1e-4)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from calib.hypotheses.function_variants import FunctionVariants, kept
+from calib.hypotheses.function_variants import MOVES, FunctionVariants, kept
 from calib.hypotheses.hypotheses import ModelHypotheses, VariantPair
 from calib.hypotheses.rules import RULES
 from calib.measurement.responses import response_kinds
@@ -18,7 +18,7 @@ from calib.problem.space import Parameter, ParameterSpace
 from calib.structure import rules as changes
 from calib.structure.effects.perturbations import Perturbation, scaling_by_function
 from calib.structure.effects.variants import Variants
-from calib.structure.eigenproblem.mode_tracking import successors
+from calib.structure.eigenproblem.mode_tracking import Moved, successors
 from calib.structure.function_model import DERIVES, FunctionModel, response_of, responses_of, slope_entry
 from calib.structure.function_parts import ScaledPart
 from calib.structure.modal_function import ModalFunctionModel
@@ -104,7 +104,7 @@ def modal_function_perturbations(
     space, test, held
         As in `response_perturbations`.
     """
-    parts = {"frequency": _frequencies_of, "damping": _damping_of, "shape": _shapes_of}
+    parts = dict(_KINDS)
     scales: dict[str, Alter] = {"frequency": _higher, "damping": _more_damped}
     if not model.damped:
         del parts["damping"], scales["damping"]
@@ -140,11 +140,11 @@ def _changed(
     found = [_change(p, f"change of {p.name}{of_test if p.name in held else ''}", read) for p in fixed]
     for p in moving:
         if p not in fixed:
-            found += [_change(p, f"change of {p.name} in {part}", read, mix) for part, mix in parts.items()]
+            found += [_change(p, f"change of {p.name} in {part}", read, mix, part) for part, mix in parts.items()]
     return found
 
 
-def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Perturbation:
+def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None, kind: str = "") -> Perturbation:
     """A relative change of a parameter (of its range where its value is 0), in all results or in one part.
 
     A change in all results returns those of the function unchecked.
@@ -164,6 +164,8 @@ def _change(p: Parameter, name: str, read: Read, mix: Mix | None = None) -> Pert
             other = _chained(read(model, moved), p.name, name, 1.0 if span else 1.0 + by, unit)
             return mix(read(model, rest), other)
 
+        if kind and mix is _KINDS.get(kind) and p.lower < p.upper:
+            setattr(changed, MOVES, lambda values: Moved(p.name, kind, span or values[p.name]))
         return _deriving(changed)
 
     lacks = f"{p.name} is held at {p.value:g} {p.unit}" if mix is None else f"{p.name} is the same for all responses"
@@ -272,6 +274,10 @@ def _damping_of(base: Modes, other: Modes) -> Modes:
 
 def _shapes_of(base: Modes, other: Modes) -> Modes:
     return replace(base, shapes=_tracked(base, other).shapes)
+
+
+_KINDS: Mapping[str, Mix] = {"frequency": _frequencies_of, "damping": _damping_of, "shape": _shapes_of}
+"""Kinds of results of a function of modes."""
 
 
 def _higher(modes: Modes, by: float) -> Modes:

@@ -12,10 +12,15 @@ from typing import Any, Generic, NamedTuple, TypeVar
 from calib.errors.errors import InputError
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
+from calib.structure.eigenproblem.mode_tracking import Moved
 from calib.structure.function_model import DERIVES, FunctionModel, extend_function, responses_of, slope_entry
 from calib.structure.modal_function import ModalFunctionModel
 
 F = TypeVar("F", FunctionModel, ModalFunctionModel)
+
+
+MOVES = "moves"
+"""Attribute of a function that a local perturbation built: the parameter that it moves in one kind of results."""
 
 
 class _Raised(NamedTuple):
@@ -133,6 +138,12 @@ class FunctionVariants(Generic[F]):
         built = {name: effect.build(self._base) for name, effect in self._by_name.items()}
         return frozenset(name for name, function in built.items() if getattr(function, DERIVES, False))
 
+    @cached_property
+    def moving(self) -> dict[str, Callable[[Mapping[str, float]], Moved]]:
+        """What local perturbations of one kind of results move, at given values."""
+        built = {effect.name: effect.build(self._base) for effect in self.perturbations}
+        return {name: getattr(function, MOVES) for name, function in built.items() if hasattr(function, MOVES)}
+
     @property
     def names(self) -> tuple[str, ...]:
         """All effects and local perturbations."""
@@ -174,6 +185,12 @@ class _Chosen:
 
     def __call__(self, values: Mapping[str, float]) -> Any:
         return _called(self._model(values), values)
+
+    def moving(self, values: Mapping[str, float]) -> dict[str, Moved]:
+        """Local perturbations that move a parameter in one kind of results; none where an effect is present."""
+        if any(values.get(name, 0.0) != 0 for name in self.variants.names):
+            return {}
+        return {name: moved(values) for name, moved in self.variants.moving.items()}
 
     def derivatives_by(self, values: Mapping[str, float], names: Sequence[str]) -> dict[str, float]:
         """Derivatives that the base function can tell by magnitudes of 0; see `DerivativesOnRequest`.

@@ -51,6 +51,12 @@ class FitSettings:
     noisy_rejections : int
     evaluations : float
         Number of residuals after which no further step is tried.
+    costly : float
+        Times ``gain`` and ``noise`` where each derivative costs evaluations; the fit has converged, too, when ``noise``
+        times the sum of squares is all that a step promises, or lowers it by from derivatives that were evaluated.
+    evaluated_end : bool
+        Whether derivatives are evaluated at the end where they were updated: standard deviations need that, a ranking
+        does not.
     """
 
     iterations: int = 50
@@ -61,6 +67,8 @@ class FitSettings:
     noise: float = 1e-6
     noisy_rejections: int = 4
     evaluations: float = math.inf
+    costly: float = 100.0
+    evaluated_end: bool = True
 
 
 DEFAULT = FitSettings()
@@ -68,6 +76,11 @@ _POOR = 0.25
 """Actual over predicted decrease below which derivatives that were updated are evaluated again."""
 _SAME = 0.1
 """Part of a step that failed by which another must differ to be worth an evaluation."""
+
+_COSTLY = 100.0
+"""Times the noise up to which few failures end a fit where each derivative costs evaluations."""
+_HERE = 1e-3
+"""Part of the range within which derivatives hold: so short a step says more about rounding than about them."""
 
 Step = Callable[[float], None]
 
@@ -100,6 +113,8 @@ class FitResult:
     residual : ndarray (n_rows,)
     jacobian : ndarray (n_rows, n_params)
         At the end, for `calib.inference.identify`.
+    evaluated : bool
+        Whether it was evaluated there, and not updated; see `FitSettings`.
     """
 
     names: tuple[str, ...]
@@ -116,6 +131,7 @@ class FitResult:
     steps: tuple[tuple[float, ...], ...]
     residual: np.ndarray
     jacobian: np.ndarray
+    evaluated: bool = True
 
     @property
     def misfit(self) -> float:
@@ -150,6 +166,7 @@ def fit(
     prior: Prior | None = None,
     settings: FitSettings = DEFAULT,
     step: Step = unstepped,
+    slope: np.ndarray | None = None,
 ) -> FitResult:
     """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
@@ -175,6 +192,9 @@ def fit(
     settings : FitSettings
     step : callable
         Called before every step with the share of the way to convergence that is behind.
+    slope : ndarray (n_rows, n_params), optional
+        About the Jacobian at the start, such as that of a model with one effect less: where derivatives cost
+        evaluations the fit begins with it.
 
     Raises
     ------
@@ -183,7 +203,7 @@ def fit(
     EvaluationError
         When the start cannot be evaluated.
     """
-    return finished(fit_steps(problem, space, start, prior, settings, step))
+    return finished(fit_steps(problem, space, start, prior, settings, step, slope))
 
 
 def finished(steps: Generator[Request, None, T]) -> T:
@@ -203,6 +223,7 @@ def fit_steps(
     prior: Prior | None = None,
     settings: FitSettings = DEFAULT,
     step: Step = unstepped,
+    slope: np.ndarray | None = None,
 ) -> Generator[Request, None, FitResult]:
     """`fit`, which stops before every evaluation and tells it, so that several fits can be evaluated together."""
     region = Region.of(space, space.complete(dict(start or {})))
@@ -217,17 +238,23 @@ def fit_steps(
     costly = bool(getattr(problem, "by_differences", False))
     rows: list[tuple[float, ...]] = []
     rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
-    iteration, rejected, reason, converged, poor = 0, 0, "", False, False
+    iteration, rejected, reason, converged, poor, little = 0, 0, "", False, False, False
     first = math.nan
-    yield here.values, region.names
-    slope, updated = search.slope(here), False
+    updated = costly and slope is not None
+    if slope is None or not updated:
+        yield here.values, region.names
+        slope = search.slope(here)
     while True:
         matrix, right = search.system(here, slope)
         free_step = region.step(matrix, right, 0.0, here.x)
         promised = _promise(matrix, right, free_step)
-        enough = promised <= max(settings.gain, settings.relative * here.misfit)
+        least = max(settings.gain, settings.relative * here.misfit)
+        if costly:
+            least = max(least, settings.costly * DEFAULT.gain, settings.noise * here.misfit)
+        enough = promised <= least or little
         last = iteration >= settings.iterations or search.evaluations >= settings.evaluations
-        if updated and (enough or last or poor):  # an end rests on derivatives, and so does a step that must be better
+        # An end rests on derivatives, and so does a step that must be better.
+        if updated and (poor or ((enough or last) and settings.evaluated_end)):
             yield here.values, region.names
             slope, updated = search.slope(here), False
             continue
@@ -238,11 +265,12 @@ def fit_steps(
             reason = f"stopped after {iteration} iterations, before it converged"
             break
         first = promised if math.isnan(first) else max(first, promised)
-        step(_behind(first, promised, max(settings.gain, settings.relative * here.misfit)))
+        step(_behind(first, promised, least))
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
         move = region.step(matrix, right, mu, here.x)
-        noisy, failed = promised <= settings.noise * here.misfit, 0
+        noise = settings.noise * (settings.costly if costly else 1.0)
+        noisy, failed = promised <= (_COSTLY if costly else 1.0) * noise * here.misfit, 0
         poor = False
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
             if noisy and failed == settings.noisy_rejections:
@@ -274,7 +302,9 @@ def fit_steps(
         size = float(np.max(np.abs(there.x - here.x)))
         rows.append((iteration, there.misfit, there.data, there.prior, size, mu))
         if costly:
-            here, slope, updated = there, search.updated(slope, here, there), True
+            little = not updated and here.misfit - there.misfit <= max(least, noise * here.misfit if failed else 0.0)
+            slope = search.updated(slope, here, there) if size > _HERE else slope
+            here, updated = there, not (little and size <= _HERE)
             continue
         yield there.values, region.names
         here, slope = there, search.slope(there)
@@ -294,6 +324,7 @@ def fit_steps(
         steps=tuple(rows),
         residual=here.residual,
         jacobian=slope,
+        evaluated=not updated,
     )
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -16,9 +16,10 @@ from calib.missing.accuracy import at_accuracy, family_p_at, reweighted, weighte
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import overall_p
 from calib.missing.hypotheses import Altered, Hypotheses
-from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
+from calib.missing.linearised_fit import FINE, LinearisedFit, least_squares_fit
 from calib.missing.rules import RULES
 
+_UPDATED = replace(FINE, evaluated_end=False)
 TABLE = "accuracy_by_kind"
 COLUMNS = ("frequency", "shape", "damping", "p_fit", "missing")
 GRIDS = {
@@ -151,8 +152,10 @@ class _Search:
 
     def fitted(self, accuracies: Mapping[str, float], start: Mapping[str, float]) -> LinearisedFit:
         """The base model fitted with the weights of some accuracies."""
-        problem = Altered(self.hypotheses.fit_problem(()), 1.0 / self.weight(accuracies))
-        return least_squares_fit(problem, (), dict(start))
+        weight, base = self.weight(accuracies), self.found.base.fit
+        problem = Altered(self.hypotheses.fit_problem(()), 1.0 / weight)
+        known = {name: self.found.noise_scale * weight * column for name, column in base.columns.items()}
+        return least_squares_fit(problem, (), dict(start), settings=_UPDATED, columns=known)
 
     def p_fit(self, fit: LinearisedFit, accuracies: Mapping[str, float]) -> float:
         """Goodness of a fit that has these weights."""

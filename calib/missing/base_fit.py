@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
 from calib.errors.errors import EvaluationError
 from calib.inference.starts import Optima
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.linearised_fit import LinearisedFit
+from calib.missing.linearised_fit import FINE, LinearisedFit
 from calib.missing.nearest_integers import nearest_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
@@ -21,18 +22,22 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
     """The base model, fitted from a start, or from the nominal values and from a linear solution, if any.
 
     A start that is an optimum, such as the fit of a calibration, is the base fit: its search is not repeated, and its
-    integers stay. Where it rests in a valley, `nested` and `from_further_points` lead out of it. Else the best of all
-    counts, from the nominal values with the most promising integers; ``only`` leaves these out.
+    integers stay. Where derivatives cost evaluations it is taken as it is. Where it rests in a valley, `nested` and
+    `from_further_points` lead out of it. Else the best of all counts, from the nominal values with the most promising
+    integers; ``only`` leaves these out.
     """
     fits.announce("calibrating the base model")
     fit_problem = fits.fit_problem(())
     found = []
+    if start is not None and fits.by_differences and not only:
+        known = fits.candidate_fit((), {**fit_problem.space.values, **start}, settings=replace(FINE, iterations=0))
+        return replace(known, fit=replace(known.fit, converged=True))
     if start is not None:
         there = {**fit_problem.space.values, **start}
         shift = Prior.of(fit_problem.space).rows(there, fit_problem.space.free_names)[0]
         before = float(np.sum(fit_problem.residual(there) ** 2) + shift @ shift)
         found = [fits.candidate_fit((), there)]
-        if only or found[0].fit.misfit > before - RULES.rebased:
+        if only or not _is_better(found[0].fit, before):
             return found[0]
     whole = 0 if fits.spent(RULES.early) else 1
     begin = nearest_whole(fit_problem, fit_problem.space.values)
@@ -76,7 +81,7 @@ def from_further_points(fits: Refits, base: CandidateFit) -> tuple[CandidateFit,
                 ends.append(None)
                 continue
             ends.append(found.fit)
-            if _is_better(found, base):
+            if _is_better(found.fit, base.fit.misfit):
                 return found, len(ends)
             if Optima.of([base.fit, *ends]).agree:
                 break
@@ -88,10 +93,13 @@ def _better(fits: Refits, base: CandidateFit, start: dict[str, float]) -> Candid
         found = fits.finished(fits.candidate_fit((), start))
     except EvaluationError:
         return base
-    return found if _is_better(found, base) else base
+    return found if _is_better(found.fit, base.fit.misfit) else base
 
 
-def _is_better(found: CandidateFit, base: CandidateFit) -> bool:
-    """Whether a fit lowers the sum of squares by `DecisionRules.rebased`, or so many times the mean square left."""
-    unit = max(base.fit.misfit / max(len(base.fit.residual), 1), 1.0)
-    return found.fit.misfit < base.fit.misfit - RULES.rebased * unit
+def _is_better(found: LinearisedFit, before: float) -> bool:
+    """Whether a fit lowers a sum of squares by more than a step that is not taken any more may promise.
+
+    And by `DecisionRules.rebased`, or so many times the mean square that was left.
+    """
+    unit = max(before / max(len(found.residual), 1), 1.0)
+    return found.misfit < before - max(RULES.rebased * unit, FINE.relative * before)

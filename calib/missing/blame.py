@@ -11,7 +11,7 @@ import numpy as np
 from calib.missing.adequacy import adequacy_of, adequate, beside, measured_scale
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit, WrongDatum
 from calib.missing.explanation import Explanation
-from calib.missing.place import takes_enough
+from calib.missing.place import best_perturbation, takes_enough
 from calib.missing.plausible import has_possible_size
 from calib.missing.refits import Refits, near_to
 from calib.missing.rules import RULES
@@ -26,7 +26,7 @@ def with_competing(fits: Refits, found: Explanation, best: CandidateFit) -> Expl
     """Add the competing explanations: a local perturbation, faults of the measurement and a wrong datum."""
     h, base, adequacy = fits.hypotheses, found.base, found.base_adequacy
     margin = near_to(best.ln_evidence - base.ln_evidence)
-    perturbation = fits.best_perturbation(base, adequacy.perturbations, adequacy.named, best)
+    perturbation = best_perturbation(fits, base, adequacy.perturbations, adequacy.named, best)
     if perturbation is not None and perturbation.ln_evidence > best.ln_evidence - margin:
         perturbation = fits.finished(perturbation)
     faults = () if adequacy.suspects is None else fits.faults(base, adequacy.suspects, best)

@@ -14,12 +14,16 @@ from calib.errors.errors import EvaluationError
 from calib.missing.blame import alike, alike_faults, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
+from calib.missing.goodness import overall_p
 from calib.missing.place import takes_enough
 from calib.missing.plausible import has_possible_size, is_whole
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.problem.candidate import Candidate
+
+_SPENT = 1e-3
+"""Part of a change pattern that others leave, below which nothing is left of it."""
 
 Again = Callable[[Refits, Mapping[str, float]], Explanation]
 """The decision with other hypotheses, from given values of the base model."""
@@ -41,7 +45,8 @@ def with_fault(
     anew with the fault in the base model, which may grant a further one, up to `DecisionRules.most_effects`. Its answer
     counts if it leaves nothing over, and if every fault that was granted is needed in it. Where that of the first fault
     does not, the next one like it (`calib.missing.blame.alike_faults`) is granted instead: while an effect is missing,
-    evidence does not tell which of two modes holds a share of the other.
+    evidence does not tell which of two modes holds a share of the other. Where derivatives cost evaluations of the
+    model, none is granted if to first order as many as may be leave the fit strongly rejected.
 
     Parameters
     ----------
@@ -56,7 +61,8 @@ def with_fault(
         Of its fit.
     again : callable
     """
-    if len(fits.granted) >= RULES.most_effects or not fits.hypotheses.faults:
+    left = RULES.most_effects - len(fits.granted)
+    if left <= 0 or not fits.hypotheses.faults or (fits.by_differences and not _may_explain(fits, found, left)):
         return None
     first = _first(fits, found, best)
     if not first:
@@ -71,6 +77,21 @@ def with_fault(
             like += [name for name in _in_place_of(fits, told, fault) if name not in like]
             return replace(told, mistakable=(*((fault.name, name) for name in like), *told.mistakable))
     return None
+
+
+def _may_explain(fits: Refits, found: Explanation, count: int) -> bool:
+    """Whether so many faults might explain the misfit, each that which takes most of what is left to first order."""
+    faults = found.base_adequacy.suspects
+    if faults is None:
+        return False
+    fit = found.base.fit
+    left, unit = fit.projected, faults.unit
+    for _ in range(count):
+        first = unit[:, int(np.argmax(np.abs(unit.T @ left)))]
+        left, unit = left - first * (first @ left), unit - np.outer(first, first @ unit)
+        size = np.linalg.norm(unit, axis=0)
+        unit = np.where(size > _SPENT, unit / np.maximum(size, _SPENT), 0.0)
+    return overall_p(replace(fit, residual=left[: len(fit.residual)]), fits.hypotheses) > RULES.rejected_fit
 
 
 def _granting(fits: Refits, fault: Candidate, values: Mapping[str, float], again: Again) -> Explanation | None:

@@ -106,6 +106,11 @@ class Altered:
         """Parameter space of the inner problem, with the held parameters fixed."""
         return self.inner.space.freeze(self.held) if self.held else self.inner.space
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether derivatives of the inner problem cost evaluations; see `calib.inference.gauss_newton.fit`."""
+        return bool(getattr(self.inner, "by_differences", False))
+
     def residual(self, values: Mapping[str, float]) -> np.ndarray:
         """Whitened residual, (n_kept,)."""
         return self._weighted(self.inner.residual({**values, **self.held}))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Hashable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import scipy.linalg as la
@@ -24,7 +25,7 @@ from calib.problem.prior import Prior
 FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
 """For the verdict. A decrease of the sum of squares by a few thousandths is negligible for it; a converging fit needs
 about ten residuals, up to 40 when integer parameters move."""
-ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4)
+ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4, evaluated_end=False)
 """For ranking candidates, which need not converge."""
 _TURNS = 3
 
@@ -88,6 +89,11 @@ class LinearisedFit:
     def data_slope(self) -> np.ndarray:
         """G of the rows and of the other ones, (n_rows + n_others, p)."""
         return self.slope if self.others is None else np.vstack([self.slope, self.others.slope])
+
+    @property
+    def columns(self) -> dict[str, np.ndarray]:
+        """Columns of the slope by parameter, (n_rows,) each."""
+        return dict(zip(self.names, self.slope.T, strict=True))
 
     @cached_property
     def augmented(self) -> np.ndarray:
@@ -221,6 +227,7 @@ def least_squares_fit(
     whole: int = 0,
     settings: FitSettings = FINE,
     step: Step = unstepped,
+    columns: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> LinearisedFit:
     """Fit a problem from a start.
 
@@ -238,13 +245,15 @@ def least_squares_fit(
         Its ``evaluations`` limit all these fits together.
     step : callable
         Called before every step; see `calib.inference.gauss_newton.fit`.
+    columns : mapping from str to ndarray (n_rows,)
+        About the columns of its slope at the start; see `calib.inference.gauss_newton.fit`. Used where all are given.
 
     Raises
     ------
     EvaluationError
         When the start cannot be evaluated.
     """
-    fit, used = _fitted(fit_problem, effects, start, settings, step)
+    fit, used = _fitted(fit_problem, effects, start, settings, step, columns)
     for turn in range(_TURNS if whole else 0):
         if used >= settings.evaluations:
             break
@@ -315,13 +324,21 @@ def grown(fit: LinearisedFit, fit_problem: FitProblem, effects: tuple[str, ...])
 
 
 def _fitted(
-    fit_problem: FitProblem, effects: tuple[str, ...], start: Mapping[str, float], settings: FitSettings, step: Step
+    fit_problem: FitProblem,
+    effects: tuple[str, ...],
+    start: Mapping[str, float],
+    settings: FitSettings,
+    step: Step,
+    columns: Mapping[str, np.ndarray] = MappingProxyType({}),
 ) -> tuple[LinearisedFit, int]:
     """The fit with the integers of the start, and the number of residuals evaluated."""
     space = fit_problem.space
     inside = {n: min(max(v, space[n].lower), space[n].upper) for n, v in start.items() if n in space.free_names}
     prior = Prior.of(space)
-    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step)
+    names = [p.name for p in space.free if not p.integer]
+    known = [columns[name] for name in names if name in columns]
+    slope = -np.column_stack(known) if known and len(known) == len(names) else None
+    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step, slope)
     sd, shift = prior.widths(result.values, result.names), prior.residual(result.values, result.names)
     others = _correlated(prior, result.values, result.names)
     descent = -result.jacobian.T @ result.residual - shift / sd
@@ -335,7 +352,7 @@ def _fitted(
         slope=-result.jacobian,
         prior_sd=sd,
         shift=shift,
-        converged=result.converged,
+        converged=result.converged and result.evaluated,
         others=others,
         active=active_limits(space, result.names, result.values, descent),
     )

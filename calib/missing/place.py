@@ -1,4 +1,4 @@
-"""The place that a verdict without a cause points at, where the data themselves single one out."""
+"""The best local perturbation, and the place to look at of a verdict without a cause, where the data single one out."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from calib.missing.local import local_perturbation
 from calib.missing.plausible import limit_of
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
-from calib.missing.score import noise_limit
+from calib.missing.score import Scores, noise_limit
 
 
 def told_place(fits: Refits, found: Explanation) -> CandidateFit | None:
@@ -64,3 +64,33 @@ def _fits(fits: Refits, found: Explanation, place: CandidateFit) -> bool:
     effects = [e for group in found.groups for e in group.effects]
     with fits.allowance.uncharged():
         return adequate(fits, adequacy_of(fits, place, beside(fits, place, effects)))
+
+
+def best_perturbation(
+    fits: Refits, base: CandidateFit, found: Scores, named: Scores, best: CandidateFit
+) -> CandidateFit | None:
+    """Fit of the local perturbation with the largest score that is not collinear with the best effect.
+
+    A changed component is preferred to an addition at a sensor, which must fit clearly better. ``best`` has one
+    effect more than ``base``; it is the base model when there is none.
+    """
+    usable = np.array(found.magnitude)
+    for own in (n for n in best.names if n not in base.names):
+        column = named.unit[:, named.best(own)]
+        usable[np.abs(found.unit.T @ column) > RULES.same] = -np.inf
+    scales = np.array([bool(fits.by_name[n].part) for n in found.owners], dtype=bool)
+    part, other = (int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales))
+    first, second = (
+        0.0 if k is None else max(float(usable[k]), 0.0) ** 2 / 2 for k in (part, other)
+    )  # fmt: skip
+    perturbation = None
+    if part is not None and first > 0:
+        perturbation = fits.local(found.owners[part], base, found, best)
+    clearly = second > first + RULES.credible and not (perturbation is not None and fits.spent())
+    if other is not None and (clearly or (perturbation is None and second > 0)):
+        competitor = fits.local(found.owners[other], base, found, best)
+        if competitor is not None and (
+            perturbation is None or competitor.ln_evidence > perturbation.ln_evidence + RULES.credible
+        ):
+            return competitor
+    return perturbation

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 
@@ -109,12 +110,13 @@ class Refits:
     # -- fits ----------------------------------------------------------------------------------------------------------
 
     def candidate_fit(
-        self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE
-    ) -> CandidateFit:
+        self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE,
+        columns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> CandidateFit:  # fmt: skip
         """The model with the named effects or local perturbations, fitted from a start by `least_squares_fit`."""
+        problem = self.fit_problem(names)
         return self._candidate_fit(
-            names,
-            least_squares_fit(self.fit_problem(names), names, start, whole, self.affordable(settings), self._step),
+            names, least_squares_fit(problem, names, start, whole, self.affordable(settings), self._step, columns)
         )
 
     def announce(self, stage: str) -> None:
@@ -180,23 +182,27 @@ class Refits:
     ) -> CandidateFit | None:
         """Fit of one effect, from its earlier fit or from one step off the base model."""
         self.announce(f"fitting {self.by_name[name].title}")
-        known = [starts[(name,)]] if (name,) in starts else None
-        return self.best_of((name,), known or self.starts(base.fit, named, name), base)
+        if (name,) in starts:
+            return self.best_of((name,), [starts[(name,)]], base)
+        return self.best_of(
+            (name,), self.starts(base.fit, named, name), base, self.columns(base.fit, named, name)
+        )  # fmt: skip
 
     def best_of(
-        self, names: tuple[str, ...], starts: Sequence[dict[str, float]], parent: CandidateFit
-    ) -> CandidateFit | None:
+        self, names: tuple[str, ...], starts: Sequence[dict[str, float]], parent: CandidateFit,
+        columns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    ) -> CandidateFit | None:  # fmt: skip
         """The best fit from some starts, never worse than that of the parent, a model with fewer effects.
 
         A full step may go too far and change the pairing of modes; smaller steps along the same direction are then
         tried. The optimum of the parent, with zero magnitude of the further effects, is the last resort. None when no
-        start can be evaluated.
+        start can be evaluated. ``columns`` are about those of the slope at the starts, see `columns`.
         """
         fits: list[CandidateFit] = []
 
         def follow(start: dict[str, float]) -> None:
             try:
-                fits.append(self.candidate_fit(names, start, settings=ROUGH))
+                fits.append(self.candidate_fit(names, start, settings=ROUGH, columns=columns))
             except EvaluationError:
                 return
 
@@ -227,7 +233,8 @@ class Refits:
 
     def followed(self, candidate_fit: CandidateFit, whole: int = 0, settings: FitSettings = FINE) -> CandidateFit:
         """Refine a fit; the fit itself where that does not lower the sum of squares."""
-        further = self.candidate_fit(candidate_fit.names, candidate_fit.fit.values, whole, settings)
+        fit = candidate_fit.fit
+        further = self.candidate_fit(candidate_fit.names, fit.values, whole, settings, fit.columns)
         return further if further.fit.misfit <= candidate_fit.fit.misfit else candidate_fit
 
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
@@ -236,9 +243,23 @@ class Refits:
         fit = replace(fit, shared=np.pad(errors, ((0, len(fit.data_slope) - len(errors)), (0, 0))))
         return CandidateFit(effects, fit, ln_evidence(fit, added) - self.family.price(names), implausible(fit, added))
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether derivatives cost evaluations of the model."""
+        return bool(getattr(self.fit_problem(()), "by_differences", False))
+
+    def columns(self, fit: LinearisedFit, found: Scores, name: str) -> dict[str, np.ndarray]:
+        """Columns of the slope of a fitted model with a further effect, from its signature there, (n_rows,) each."""
+        return fit.columns | {name: found.raw[:, found.best(name)]}
+
     def starts(self, fit: LinearisedFit, found: Scores, name: str) -> list[dict[str, float]]:
-        """Starts for the fit of an effect: one step from a fit, for the best points of its grid."""
+        """Starts for the fit of an effect: one step from a fit, for the best points of its grid.
+
+        Where derivatives cost evaluations it starts at that fit, where they are known, and takes the step itself.
+        """
         effect, out = self.by_name[name], []
+        if self.by_differences and (name,) == effect.names and not any(found.points[k] for k in found.of(name)):
+            return [{**fit.values, name: effect.magnitude.value}]
         for k in found.steps(name, 2 if effect.nuisance else 1):
             p, point = effect.magnitude, found.points[k]
             size = found.z[k] / found.size[k] if found.size[k] > 0 else 0.0
@@ -249,37 +270,6 @@ class Refits:
             out.append({**fit.values, **moved, **point, name: size})
         linear = self.hypotheses.linear_start((*fit.effects, name), out[0])
         return out if linear is None else [*out, linear]
-
-    def best_perturbation(
-        self, base: CandidateFit, found: Scores, named: Scores, best: CandidateFit
-    ) -> CandidateFit | None:
-        """Fit of the local perturbation with the largest score that is not collinear with the best effect.
-
-        A changed component is preferred to an addition at a sensor, which must fit clearly better. ``best`` has one
-        effect more than ``base``; it is the base model when there is none.
-        """
-        usable = np.array(found.magnitude)
-        for own in (n for n in best.names if n not in base.names):
-            column = named.unit[:, named.best(own)]
-            usable[np.abs(found.unit.T @ column) > RULES.same] = -np.inf
-        scales = np.array([bool(self.by_name[n].part) for n in found.owners], dtype=bool)
-        part, other = (
-            int(np.argmax(np.where(own, usable, -np.inf))) if own.any() else None for own in (scales, ~scales)
-        )
-        first, second = (
-            0.0 if k is None else max(float(usable[k]), 0.0) ** 2 / 2 for k in (part, other)
-        )  # fmt: skip
-        perturbation = None
-        if part is not None and first > 0:
-            perturbation = self.local(found.owners[part], base, found, best)
-        clearly = second > first + RULES.credible and not (perturbation is not None and self.spent())
-        if other is not None and (clearly or (perturbation is None and second > 0)):
-            competitor = self.local(found.owners[other], base, found, best)
-            if competitor is not None and (
-                perturbation is None or competitor.ln_evidence > perturbation.ln_evidence + RULES.credible
-            ):
-                return competitor
-        return perturbation
 
     def fault(self, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of the measurement fault with the largest score; None where it comes nowhere near the best effect.
@@ -316,7 +306,8 @@ class Refits:
 
     def local(self, name: str, base: CandidateFit, found: Scores, best: CandidateFit) -> CandidateFit | None:
         """Fit of one local perturbation, refined where it comes near the best effect."""
-        perturbation = self.best_of((*base.names, name), self.starts(base.fit, found, name)[:1], base)
+        starts, columns = self.starts(base.fit, found, name)[:1], self.columns(base.fit, found, name)
+        perturbation = self.best_of((*base.names, name), starts, base, columns)
         if self.spent():
             return perturbation
         if perturbation is not None and best.ln_evidence - perturbation.ln_evidence < RULES.close:

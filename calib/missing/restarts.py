@@ -124,7 +124,7 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
         return tuple(faults)
     known = [name for name in best if name in found.owners]
     for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.family.promising(found)))):
-        refit = fits.best_of((name,), fits.starts(nominal, found, name), base)
+        refit = fits.best_of((name,), fits.starts(nominal, found, name), base, fits.columns(nominal, found, name))
         if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
             best[name] = refit
     ranked = fits.settled(tuple(best.values()), RULES.credible)

@@ -12,6 +12,7 @@ from calib.missing.adequacy import adequacy_of, adequate, beside, left_out_error
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.collinear import Group, grouped
 from calib.missing.evidence import at_lower, ln_bayes_linear
+from calib.missing.place import best_perturbation
 from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
@@ -141,7 +142,8 @@ class Stepwise:
         for effect in effects:
             fits.announce(f"fitting {effect.title} beside {' and '.join(e.title for e in model.effects)}")
             starts = fits.starts(model.fit, scores, effect.name)
-            found = fits.best_of((*model.names, effect.name), starts[:1], model)
+            columns = fits.columns(model.fit, scores, effect.name)
+            found = fits.best_of((*model.names, effect.name), starts[:1], model, columns)
             if found is not None:
                 yield found
 
@@ -203,7 +205,7 @@ class Stepwise:
                 if one.ln_evidence > near and not one.implausible
             ]
             local = beside(fits, rest, h.perturbations)
-            place = fits.best_perturbation(rest, local, scores, model) if local.owners else None
+            place = best_perturbation(fits, rest, local, scores, model) if local.owners else None
             if place is not None and place.ln_evidence - _chance(h.perturbations, groups) > model.ln_evidence:
                 out.append((place, "local_perturbation"))
             faults = fits.faults(rest, suspects(fits, rest), model)[:1] if h.faults else ()

@@ -13,6 +13,8 @@ from calib.problem.space import Parameter, ParameterSpace
 
 STEP = 1e-4
 """Half step of a central difference, over the range of a parameter."""
+ONE_SIDED = 2.0
+"""Times this step of a one-sided difference: rounding has as much effect on both."""
 
 
 def central_jacobian(
@@ -46,27 +48,35 @@ def ask_ahead(
     values: Mapping[str, float],
     parameters: Sequence[Parameter],
     step: float,
+    one_sided: bool = False,
 ) -> None:
-    """Evaluate both ends of all differences together, where workers share that; see `difference`."""
-    ends = [{**values, p.name: end} for p in parameters for end in _ends(values, p, step)]
+    """Evaluate the ends of all differences together, where workers share that; see `difference`."""
+    count = 1 if one_sided else None
+    ends = [{**values, p.name: end} for p in parameters for end in _ends(values, p, step, one_sided)[:count]]
     evaluated_together([partial(function, end) for end in ends])
 
 
-def _ends(values: Mapping[str, float], p: Parameter, step: float) -> list[float]:
+def _ends(values: Mapping[str, float], p: Parameter, step: float, one_sided: bool = False) -> list[float]:
     """Ends of a difference within the limits of a parameter; none for an integer and for one that is held."""
     if p.integer or p.lower == p.upper:
         return []
     middle = values[p.name]
-    half = step * p.span_at(middle)
-    return [end for end in (min(middle + half, p.upper), max(middle - half, p.lower)) if end != middle]
+    half = step * (ONE_SIDED if one_sided else 1.0) * p.span_at(middle)
+    ends = [end for end in (min(middle + half, p.upper), max(middle - half, p.lower)) if end != middle]
+    return sorted(ends, key=lambda end: -abs(end - middle)) if one_sided else ends
 
 
 def difference(
-    residual: Callable[[Mapping[str, float]], np.ndarray], values: Mapping[str, float], p: Parameter, step: float
+    residual: Callable[[Mapping[str, float]], np.ndarray],
+    values: Mapping[str, float],
+    p: Parameter,
+    step: float,
+    one_sided: bool = False,
 ) -> np.ndarray:
     """Derivative of a vector along one parameter by a central difference within its limits, shape (n_rows,).
 
-    It is one-sided at a limit, where one end fails, and for an entry that is NaN at one end; an entry that is NaN at
+    It is one-sided where that is asked for, with the other end only where the first one fails or has an entry that is
+    NaN; and at a limit, where one end fails, and for an entry that is NaN at one end; an entry that is NaN at
     both ends has the derivative NaN. Integer and held parameters have the derivative 0.
 
     Raises
@@ -78,11 +88,13 @@ def difference(
     if p.integer or p.lower == p.upper:
         return np.zeros_like(np.asarray(residual(values), dtype=float))
     ends, fault = [], EvaluationError(f"no difference along {p.name!r} lies within its limits")
-    for at in _ends(values, p, step):
+    for at in _ends(values, p, step, one_sided):
         try:
             ends.append((at, np.asarray(residual({**values, p.name: at}), dtype=float)))
         except EvaluationError as failed:
             fault = failed
+        if one_sided and ends and not np.isnan(ends[-1][1]).any():
+            break
     if not ends:
         raise fault
     if len(ends) == 1:

@@ -128,6 +128,11 @@ class JointProblem(JointRows):
         own = {id(p.counts): p.counts for p in self.parts.values()}.values()
         return Counts(sum(c.solved for c in own), sum(c.reused for c in own), sum(c.failed for c in own))
 
+    @property
+    def by_differences(self) -> bool:
+        """Whether derivatives of any test cost further evaluations of its model."""
+        return any(getattr(problem, "by_differences", False) for problem in self.parts.values())
+
     def responses(self, values: Mapping[str, float]) -> dict[str, float]:
         """Named responses of all tests; EvaluationError where a model cannot be solved."""
         found = {test: self._evaluated(test, p.responses, values) for test, p in self.parts.items()}

@@ -21,7 +21,7 @@ from calib.problem.space import ParameterSpace
 from calib.results.fingerprint import digest_of
 from calib.results.in_short import Short
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
-from calib.structure.eigenproblem.mode_tracking import followed_derivatives
+from calib.structure.eigenproblem.mode_tracking import Moved, followed_derivatives, of_kinds
 from calib.structure.function_parts import ScaledPart, scaled_parts
 from calib.structure.geometry import Mesh
 from calib.structure.located import sensor_partners
@@ -71,8 +71,8 @@ class ModalFunctionModel(Short):
 
     It is compared, paired, calibrated and explained like a model of matrices. It lacks what needs matrices: strain
     energies (modes are paired by MAC and frequency) and a reduced basis. Derivatives
-    are central differences that track each mode by its MAC, with two function calls for each parameter; see
-    `calib.structure.eigenproblem.mode_tracking.followed_derivatives`.
+    are central differences that track each mode by its MAC, with two function calls for each parameter, or one-sided
+    ones with one; see `calib.structure.eigenproblem.mode_tracking.followed_derivatives`.
 
     Attributes
     ----------
@@ -92,6 +92,9 @@ class ModalFunctionModel(Short):
         Whether it returns damping ratios.
     step : float
         Half step of a difference, over the range between the limits; raise it for a solver with numerical noise.
+    one_sided : bool
+        Whether a derivative takes one call for each parameter, as for a costly solver that rounds its results: the step
+        is then twice as long, with an error in proportion to it and no more effect of rounding.
     assumptions : tuple of Assumption
     sensor_tolerance : float, optional
         Largest distance of a measured node from a declared one, as in `calib.StructuralModel`.
@@ -133,6 +136,7 @@ class ModalFunctionModel(Short):
     step: float = STEP
     assumptions: tuple[Assumption, ...] = ()
     sensor_tolerance: float | None = field(default=None, kw_only=True)
+    one_sided: bool = field(default=False, kw_only=True)
     parts: tuple[ScaledPart, ...] = ()
     identity: str = ""
     memory: Memory = field(default_factory=Memory, repr=False, compare=False)
@@ -209,7 +213,7 @@ class ModalFunctionModel(Short):
 
     @property
     def by_differences(self) -> bool:
-        """Yes: a derivative costs two evaluations for each parameter."""
+        """Yes: a derivative costs evaluations for each parameter."""
         return True
 
     @property
@@ -241,12 +245,23 @@ class ModalFunctionModel(Short):
         rows: np.ndarray,
         at: Callable[[Mapping[str, float]], Modes] | None = None,
     ) -> ModeDerivatives:
-        """Differences that track each mode; see `followed_derivatives`."""
+        """Differences that track each mode; see `followed_derivatives`.
+
+        A function may tell by ``moving(values)`` of which parameters act on frequencies, damping or shapes alone as
+        others act on all, with the ratio: these need no differences of their own.
+        """
 
         def solved(there: Mapping[str, float]) -> Modes:
             return self.modes(there, self.n_modes)
 
-        return followed_derivatives(at or solved, self.space, values, modes, names, which, rows, self.step)
+        tells: Callable[[Mapping[str, float]], Mapping[str, Moved]] | None = getattr(self.function, "moving", None)
+        known = {} if tells is None else tells(values)
+        moved = {name: known[name] for name in names if name in known}
+        own = list(dict.fromkeys(moved[name].parameter if name in moved else name for name in names))
+        found = followed_derivatives(
+            at or solved, self.space, values, modes, own, which, rows, self.step, self.one_sided
+        )  # fmt: skip
+        return of_kinds(found, modes.subset(which), names, moved) if moved else found
 
     def weighted(self, values: Mapping[str, float], shapes: np.ndarray) -> None:
         """None: there is no mass matrix."""

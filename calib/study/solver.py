@@ -366,7 +366,7 @@ def solver_model(
             "there are no motions by which its modes are followed", place=place,
             remedy='measure shapes, or name nodes of the deck: sensors = ["12z", "30z"]',
         )  # fmt: skip
-    model = ModalFunctionModel(label, space, solver, tuple(sensors), n_modes, damped, step)
+    model = ModalFunctionModel(label, space, solver, tuple(sensors), n_modes, damped, step, one_sided=True)
     known = replace(solver, sensors=model.sensors)
     return replace(model, function=known, identity=known.identity)
 

@@ -195,3 +195,24 @@ def test_a_change_for_one_kind_follows_modes_over_a_crossing():
     for modes in (base, moved):
         share = (np.abs(modes.shapes[in_z]) ** 2).sum(axis=0) / (np.abs(modes.shapes) ** 2).sum(axis=0)
         assert share == pytest.approx([1.0, 0.0], abs=1e-6)
+
+
+def test_derivatives_by_a_change_of_one_kind_are_those_by_the_parameter(local):
+    """So they cost no calls of their own: as differences do, but of the parameter that is known already."""
+    variants, perturbations = local
+    model = variants.with_effects(())
+    names = [a.effect.name for a in perturbations if " in " in a.effect.name]
+    values, rows = model.space.complete({"m_tip": 1.1 * ADOPTED["m_tip"]}), np.eye(len(SENSORS))
+    modes = model.modes(values, 14)
+    parameters = [p.name for p in variants.model.space.free]
+    model.derivatives(values, modes, parameters, range(6), rows)
+    before = variants.calls
+    found = model.derivatives(values, modes, [*parameters, *names], range(6), rows)
+    assert variants.calls == before and found.names == (*parameters, *names)
+    near = replace(model, function=model.function.__call__)  # which says nothing of what a change moves
+    expected = near.derivatives(values, modes, [*parameters, *names], range(6), rows)
+    for what in ("natural_freq", "damping_ratio", "eigenvalue", "damped_freq", "shapes"):
+        own, other = getattr(found, what), getattr(expected, what)
+        np.testing.assert_allclose(own, other, atol=1e-5 * np.abs(other).max())
+    there = {**values, names[0]: 0.1}  # a change that is there is differenced itself
+    assert not model.function.moving(there) and set(model.function.moving(values)) == {*names}

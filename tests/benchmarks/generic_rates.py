@@ -342,7 +342,7 @@ def _made_of_plate(
         lost = (-less * fine.mass(fine.panel(panel)), "m_plate")
         return {"hidden": stiffness}, {"hidden": lost}, lambda e: _on(e, f"panel {panel + 1}"), less
     if hidden == "cut":
-        row, length = int(rng.integers(1, fine.nx - 1)), int(fine.ny * min(0.4 * size, 0.7))
+        row, length = int(rng.integers(1, fine.nx - 1)), max(round(fine.ny * min(0.6 * size, 0.7)), 2)
         change = -0.85 * fine.stiffness(lambda i, j: i == row and j < length)
         return {"hidden": (change, "E_plate")}, {}, lambda e: False, length * fine.b
     if hidden == "layer":

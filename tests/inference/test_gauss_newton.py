@@ -181,6 +181,24 @@ def test_derivatives_that_cost_runs_are_updated_and_the_end_is_the_same():
     assert other.jacobians < one.jacobians and updated.runs < 0.8 * exact.runs
 
 
+def test_a_fit_begins_with_derivatives_that_are_known_about_and_a_ranking_ends_with_updated_ones():
+    space, start = box(3, value=1.0), {"p0": 2.9, "p1": 1.6, "p2": 0.7}
+    alone, begun, ranked, wrong = (Bent(True) for _ in range(4))
+    end = fit(alone, space, start)
+    about = Bent(True).jacobian({"p0": 2.6, "p1": 1.8, "p2": 0.5}, end.names)
+    other = fit(begun, space, start, slope=about)
+    assert end.converged and other.converged and end.evaluated and other.evaluated
+    assert begun.runs < alone.runs and other.jacobians < end.jacobians
+    least = fit(ranked, space, start, settings=FitSettings(evaluated_end=False), slope=about)
+    assert not least.evaluated and not least.jacobians and ranked.runs == least.evaluations < begun.runs
+    misled = fit(wrong, space, start, slope=-about)  # its first step fails, so that derivatives are evaluated there
+    for one in (other, least, misled):
+        for name, value in end.values.items():
+            assert one.values[name] == pytest.approx(value, abs=2e-3)
+    exact = Bent(False)
+    assert fit(exact, space, start, slope=-about).values == fit(Bent(False), space, start).values
+
+
 def test_points_that_cannot_be_evaluated_are_stepped_back_from():
     class Hole(Valley):
         def residual(self, values):

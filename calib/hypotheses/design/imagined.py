@@ -58,6 +58,8 @@ def imagined_linearisations(
 ) -> tuple[tuple[Linearisation, ...], CompetingModels | None]:
     """Linearisations at posterior samples of the credible models, and the two models where the data allow both.
 
+    Where derivatives cost evaluations of the model, they are taken at the fits alone, where they are known.
+
     Parameters
     ----------
     imagined : Imagined
@@ -73,6 +75,8 @@ def imagined_linearisations(
         first, second = (_competing(imagined, b, own, scale) for b, own in zip(believed[:2], points[:2], strict=True))
         competing = CompetingModels((first, second), measured, seed)
     shares = (1.0,) if competing is None else competing.weights
+    if imagined.fit_problem(believed[0].names).by_differences:
+        points = [(one.fit.values,) for one in believed]
     requested = [
         (k, values, share) for k, (own, share) in enumerate(zip(points, shares, strict=True)) for values in own
     ]

@@ -138,6 +138,7 @@ def followed_derivatives(
     which: Sequence[int] | np.ndarray,
     rows: np.ndarray,
     step: float,
+    one_sided: bool = False,
 ) -> ModeDerivatives:
     """Central differences of modes, each tracked to both ends, so that modes may cross in between.
 
@@ -163,6 +164,8 @@ def followed_derivatives(
         Output rows for the shapes.
     step : float
         Half step of a difference, over the range between the limits.
+    one_sided : bool
+        Whether one end of each is evaluated, twice as far away.
 
     Raises
     ------
@@ -175,10 +178,10 @@ def followed_derivatives(
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), len(rows), len(chosen)), dtype=kind)
     if len(chosen):
-        ask_ahead(at, complete, [space[name] for name in names], step)
+        ask_ahead(at, complete, [space[name] for name in names], step, one_sided)
     for q, name in enumerate(names if len(chosen) else ()):
         path = _Path(at, modes, chosen, complete)
-        slope = difference(path.vector, complete, space[name], step).reshape(-1, 2, len(chosen))
+        slope = difference(path.vector, complete, space[name], step, one_sided).reshape(-1, 2, len(chosen))
         moved = np.nan_to_num(slope[:, 0] + 1j * slope[:, 1])
         eigenvalue[q] = moved[0]
         change = np.where(path.smooth, moved[1:], 0.0)
@@ -195,6 +198,54 @@ def followed_derivatives(
         damping_ratio=-eigenvalue.real / size + here.real * grown / size**2,
         regular=np.ones(len(chosen), dtype=bool),
     )
+
+
+class Moved(NamedTuple):
+    """What a parameter does that moves another one in one kind of results only.
+
+    Attributes
+    ----------
+    parameter : str
+        The other one.
+    kind : {"frequency", "damping", "shape"}
+    unit : float
+        Change of the other one by a unit.
+    """
+
+    parameter: str
+    kind: str
+    unit: float
+
+
+def of_kinds(found: ModeDerivatives, modes: Modes, names: Sequence[str], moved: Mapping[str, Moved]) -> ModeDerivatives:
+    """Derivatives by some parameters from those of `found`, of which each may act on one kind of results only.
+
+    Parameters
+    ----------
+    found : ModeDerivatives
+    modes : Modes
+        Those that it is of, in its order.
+    names : sequence of str
+    moved : mapping from str to Moved
+    """
+    row = [found.names.index(moved[name].parameter if name in moved else name) for name in names]
+    kinds = [moved[name].kind if name in moved else "" for name in names]
+    unit = np.array([moved[name].unit if name in moved else 1.0 for name in names])[:, None]
+
+    def taken(rows: np.ndarray, kind: str) -> np.ndarray:
+        kept = unit * [[own in ("", kind)] for own in kinds]
+        return np.asarray(rows[row] * (kept[..., None] if rows.ndim == 3 else kept))
+
+    here, ratio = eigenvalues(modes), modes.damping_ratio
+    freq, damping = taken(found.natural_freq, "frequency"), taken(found.damping_ratio, "damping")
+    size, root = 2 * np.pi * modes.natural_freq, np.sqrt(1 - ratio**2)
+    eigenvalue = here * freq / modes.natural_freq - size * (1 + 1j * ratio / root) * damping
+    whole = np.array([not own for own in kinds])[:, None]
+    eigenvalue = np.where(whole, found.eigenvalue[row], eigenvalue)
+    return ModeDerivatives(
+        tuple(names), eigenvalue, taken(found.shapes, "shape"), freq, eigenvalue.imag / (2 * np.pi), damping,
+        found.regular,
+    )  # fmt: skip
 
 
 class _Path:
