@@ -83,10 +83,11 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
     "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH "
     "_NEGLIGIBLE _PARALLEL",
-    "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _REFINED _BATCH _MODES _TOGETHER _NUMBERS",
+    "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _NEARER _REFINED _BATCH _MODES "
+    "_TOGETHER _NUMBERS",
     "structure/reduction/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
     "structure/reduction/growth.py": "SAFETY POD _SHARES _STATIC _COLUMNS VERIFIED _LOCAL _STRAINED",
-    "structure/reduction/mode_target.py": "_NEAR _REFINED _DIRECTIONS",
+    "structure/reduction/mode_target.py": "_NEAR REFINED _DIRECTIONS",
     "structure/mounted.py": "GROWN_SAG",
     "structure/null_space.py": "_NAMED",
     "structure/relaxation.py": "BRANCHES _BEYOND _LINES",
@@ -105,6 +106,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/screening.py": "TRAJECTORIES BASE",
+    "analyses/explain.py": "_WIDENED",
     "analyses/least_squares.py": "_WIDENED",
     "analyses/extend.py": "STARTS",
     "correlation/modal/order.py": "_STEP",

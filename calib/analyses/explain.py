@@ -16,16 +16,16 @@ from calib.analyses.added import to_add
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.hypotheses_of_study import adapter_of, generic_note, perturbations_of
+from calib.analyses.hypotheses_of_study import adapter_for, generic_note
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
-from calib.analyses.uncertain import uncertain_note, with_uncertain
+from calib.analyses.uncertain import uncertain_note
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.outcome import as_cause, failure
 from calib.execution.stage import Progress, silent
-from calib.hypotheses.discretisation_error import mesh_words, with_mesh_error
-from calib.hypotheses.joint import JointAdapter, joined_adapter
+from calib.hypotheses.discretisation_error import mesh_words
+from calib.hypotheses.joint import JointAdapter
 from calib.inference.region import InfeasibleError
 from calib.measurement.corrections import correctable
 from calib.missing import decision as engine
@@ -110,10 +110,20 @@ def explanation_of(
     require_enough(JointRows(pairs).rows, len(study.search_space.free))
     started, stated = time.perf_counter(), study.settings.explain.mesh_sd
     mesh_sd = stated if any(one.states_mesh for one in tests) else None
-    adapter = adapter_for(study, None, progress, homes)
-    answer = explain_tests(
-        adapter, study.settings.explain, study.file, started, mesh_words(mesh_sd), progress, _doubts(tests), begin
-    )  # fmt: skip
+    settings, near = study.settings.explain, begin
+    adapter = adapter_for(study, None, progress, homes, near or {})
+    decided = decision(adapter, settings, study.file, progress, begin)
+    for _ in range(_WIDENED):
+        grown = adapter.covering([decided.base])
+        if grown is not adapter:  # what the effects change there is not in it either
+            near = decided.base.fit.values
+            adapter = adapter_for(study, None, progress, homes, near)
+        elif (grown := adapter.covering(decided.every)) is adapter:
+            break
+        else:
+            adapter = grown
+        decided = decision(adapter, settings, study.file, progress, near)
+    answer = explain_tests(adapter, decided, started, mesh_words(mesh_sd), progress, _doubts(tests))
     own = ((*generic_note(one, answer.verdict), *uncertain_note(one)) for one in tests)
     taken = dict.fromkeys(note for notes in own for note in notes)
     if stated is not None and mesh_sd is None:
@@ -125,6 +135,8 @@ def explanation_of(
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
 
 
+_WIDENED = 4
+"""Times that a decision is repeated on a basis that its fits had left."""
 _MESH_OF_NUMBERS = "The error of the mesh does not count here: an explanation knows it in modes and FRFs alone."
 
 
@@ -134,28 +146,6 @@ def _begin(study: AnyStudy, results: Results) -> dict[str, float] | None:
         found = stored_calibration(study, results)
         return None if found is None else found.values
     return None
-
-
-def adapter_for(study: AnyStudy, results: Results | None, progress: Progress, homes: Mapping[str, Results]) -> Adapter:
-    """All tests of a study, with stated errors of its models; arguments as in `explain`."""
-    return joined_adapter(adapters_for(study, results, progress, homes))
-
-
-def adapters_for(
-    study: AnyStudy,
-    results: Results | None = None,
-    progress: Progress = silent,
-    homes: Mapping[str, Results] = MappingProxyType({}),
-) -> dict[str, Adapter]:
-    """The same test by test."""
-    local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
-    free = [with_uncertain(s) for s in study.studies]
-    held_sd = {name: sd for s in free for name, sd in s.held_sd.items()}
-    adapters = {s.test: adapter_of(s, homes.get(s.test, results), progress, local[s.test], held_sd) for s in free}
-    if mesh_sd is not None:
-        progress("error of the mesh")
-        adapters |= {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies if s.states_mesh}
-    return adapters
 
 
 def misfit_intervals(
@@ -187,7 +177,7 @@ def misfit_intervals(
         return pd.DataFrame(columns=list(COLUMNS))
     progress("intervals with the misfit")
     try:
-        hypotheses = adapter_for(study, None, progress, homes).hypotheses
+        hypotheses = adapter_for(study, None, progress, homes, values).hypotheses
         fit_problem = hypotheses.fit_problem(())
         start = {name: value for name, value in values.items() if name in fit_problem.space}
         fit = least_squares_fit(fit_problem, (), fit_problem.space.complete(start))
@@ -197,14 +187,6 @@ def misfit_intervals(
         return pd.DataFrame(columns=list(COLUMNS))
     table = parameter_intervals(fit, discrepancy(fit, tested) if len(tested.owners) else None)
     return table[table["parameter"].isin(study.search_space.free_names)].reset_index(drop=True)
-
-
-def _with_mesh(adapter: Adapter, study: LoadedStudy, sd: float) -> Adapter:
-    try:
-        return with_mesh_error(adapter, study.finer_model(), sd, study.test)
-    except InputError as fault:
-        place = study.place("explain", "mesh_sd")
-        raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
 
 
 def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
@@ -247,16 +229,13 @@ def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:
 
 def explain_tests(
     adapter: Adapter,
-    settings: ExplainSettings,
-    place: str | Path,
+    decided: Explanation,
     started: float,
     supposed: Sequence[str] = (),
     progress: Progress = silent,
     doubts: Doubts = NO_DOUBTS,
-    begin: Mapping[str, float] | None = None,
 ) -> ExplanationResult:
-    """The decision about tests with its findings, whoever asks; arguments as in `decision` and `findings`."""
-    decided = decision(adapter, settings, place, progress, begin)
+    """What a decision has found; arguments as in `findings`."""
     adapter = granting(adapter, decided)
     answer = findings(adapter, decided, started, supposed, correctable, progress, doubts)
     failures = reasons(adapter.failed())[:SHOWN]

@@ -5,21 +5,25 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 from calib.analyses.provenance.record import check_repeats, disagreements_table
-from calib.analyses.reduction import reduction_of, training, worthwhile
+from calib.analyses.reduction import is_followed, point_near, reduction_near, reduction_of, training, worthwhile
+from calib.analyses.uncertain import with_uncertain
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
 from calib.correlation.basis import BasisRequirements
 from calib.correlation.modal.fault_library import modal_faults
 from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
-from calib.errors.errors import ToleranceError
+from calib.errors.errors import InputError, ToleranceError
 from calib.execution.stage import Progress, silent
 from calib.experiment import FRFTest, ModalTest
+from calib.hypotheses.discretisation_error import with_mesh_error
 from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.hypotheses import ModelHypotheses
+from calib.hypotheses.joint import joined_adapter
 from calib.hypotheses.library import effects_basis, local_perturbations
 from calib.hypotheses.modal import ModalAdapter
 from calib.hypotheses.scalar import FRFAdapter, ScalarAdapter
@@ -35,6 +39,48 @@ from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
 Local = tuple[Perturbation, ...]
+Near = Mapping[str, float] | None
+
+
+def adapter_for(
+    study: AnyStudy,
+    results: Results | None,
+    progress: Progress,
+    homes: Mapping[str, Results],
+    near: Mapping[str, float] | None = None,
+) -> Adapter:
+    """All tests of a study, with stated errors of its models, ``near`` some values where least squares are followed.
+
+    Where a search needs no basis within all limits, one is made about those values; see
+    `calib.analyses.reduction.is_followed`. Other arguments are as in `calib.analyses.explain.explain`.
+    """
+    return joined_adapter(adapters_for(study, results, progress, homes, near))
+
+
+def adapters_for(
+    study: AnyStudy,
+    results: Results | None = None,
+    progress: Progress = silent,
+    homes: Mapping[str, Results] = MappingProxyType({}),
+    near: Mapping[str, float] | None = None,
+) -> dict[str, Adapter]:
+    """The same test by test."""
+    local, mesh_sd = perturbations_of(study), study.settings.explain.mesh_sd
+    free = [with_uncertain(s) for s in study.studies]
+    held_sd = {name: sd for s in free for name, sd in s.held_sd.items()}
+    adapters = {s.test: adapter_of(s, homes.get(s.test, results), progress, local[s.test], held_sd, near) for s in free}
+    if mesh_sd is not None:
+        progress("error of the mesh")
+        adapters |= {s.test: _with_mesh(adapters[s.test], s, mesh_sd) for s in study.studies if s.states_mesh}
+    return adapters
+
+
+def _with_mesh(adapter: Adapter, study: LoadedStudy, sd: float) -> Adapter:
+    try:
+        return with_mesh_error(adapter, study.finer_model(), sd, study.test)
+    except InputError as fault:
+        place = study.place("explain", "mesh_sd")
+        raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
 
 
 def adapter_of(
@@ -43,20 +89,21 @@ def adapter_of(
     progress: Progress,
     local: Local,
     held_sd: Mapping[str, float] | None = None,
+    near: Mapping[str, float] | None = None,
 ) -> Adapter:
     """The adapter of a study's test: that of its kind, else that of data that are compared value by value.
 
     ``local`` are the perturbations that the tests of its model share; ``held_sd`` are the standard deviations of the
-    held parameters of all tests, by default of this one.
+    held parameters of all tests, by default of this one; ``near`` is as in `adapter_for`.
     """
     facts = facts_of(study)
     facts = facts if held_sd is None else replace(facts, held_sd=held_sd)
     made = next((made for kind, made in _OF_TEST.items() if isinstance(study.experiment, kind)), _of_values)
-    return made(study, home, progress, local, facts)
+    return made(study, home, progress, local, facts, near if is_followed(study) else None)
 
 
 def _of_values(
-    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts, near: Near
 ) -> ScalarAdapter:
     pair: Any = study.pair
     space = study.search_space.without(study.condition)
@@ -65,7 +112,7 @@ def _of_values(
 
 
 def _of_frfs(
-    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts, near: Near
 ) -> FRFAdapter:
     pair: Any = study.pair
     basis, space = basis_of(study, home, local, progress), study.search_space.without(study.condition)
@@ -76,10 +123,12 @@ def _of_frfs(
 
 
 def _of_modes(
-    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts
+    study: LoadedStudy, home: Results | None, progress: Progress, local: Local, facts: MeasurementFacts, near: Near
 ) -> ModalAdapter:
-    found, own = modal_hypotheses(study, home, progress, local)
-    return ModalAdapter(found, own, facts, study.whole_problem(), study.finer_model, reduced=worthwhile(study))
+    found, own = modal_hypotheses(study, home, progress, local, near)
+    point = None if near is None or found.variants.basis is None else point_near(study, near)
+    whole, finer = study.whole_problem(), study.finer_model
+    return ModalAdapter(found, own, facts, whole, finer, reduced=worthwhile(study), near=point)
 
 
 _OF_TEST: Mapping[type, Callable[..., Adapter]] = {
@@ -111,6 +160,7 @@ def modal_hypotheses(
     results: Results | None,
     progress: Progress = silent,
     local: tuple[Perturbation, ...] | None = None,
+    near: Near = None,
 ) -> tuple[ModelHypotheses[ModalResidual], tuple[Perturbation, ...]]:
     """Hypotheses of a study with modes, and its local perturbations; those of matrices are by default of its own test.
 
@@ -120,7 +170,7 @@ def modal_hypotheses(
     assert isinstance(problem, ModalProblem)
     if local is None:
         local = local_perturbations(study.model, [problem.measured], study.search_space.values)
-    basis, pair = basis_of(study, results, local, progress), ModalResidual(problem, faults=faults_of(study))
+    basis, pair = basis_of(study, results, local, progress, near), ModalResidual(problem, faults=faults_of(study))
     space = study.search_space.without(study.condition)
     return model_hypotheses(
         problem.model, pair, study.candidates, local, space, study.test, basis
@@ -136,9 +186,13 @@ def faults_of(study: LoadedStudy) -> tuple[ModalFault, ...]:
 
 
 def basis_of(
-    study: LoadedStudy, results: Results | None, local: Sequence[Perturbation], progress: Progress = silent
+    study: LoadedStudy,
+    results: Results | None,
+    local: Sequence[Perturbation],
+    progress: Progress = silent,
+    near: Near = None,
 ) -> Basis | None:
-    """A basis for a study with its effects and local perturbations.
+    """A basis for a study with its effects and local perturbations, within its limits or about values ``near``.
 
     None where none is worthwhile, or none reaches its tolerance: then the full model is used, and the adapter notes it.
     """
@@ -149,7 +203,8 @@ def basis_of(
     progress("reduced basis for the effects")
 
     def search_basis() -> Basis:
-        found = reduction_of(study, results, progress)  # a search trained it, or will need it
+        # a search trained it, or will need it
+        found = reduction_of(study, results, progress) if near is None else reduction_near(study, near)
         assert found is not None
         return found.basis
 
@@ -158,7 +213,7 @@ def basis_of(
     with training(study), contextlib.suppress(ToleranceError):
         return effects_basis(
             model, space, study.candidates, local, wanted, None if results is None else results.path, search_basis,
-            progress,
+            progress, None if near is None else point_near(study, near),
         )  # fmt: skip
     return None
 

@@ -16,9 +16,10 @@ import numpy as np
 import pandas as pd
 import tomlkit
 
-from calib.analyses.explain import adapter_for, require_usable
+from calib.analyses.explain import require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
+from calib.analyses.hypotheses_of_study import adapter_for
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.stale import stale_answers
 from calib.errors.errors import EvaluationError, InputError
@@ -179,7 +180,7 @@ def compose_for(
     homes: Mapping[str, Results] = MappingProxyType({}),
 ) -> ProposalResult:
     """The same without writing anything; arguments as in `propose`, a study in memory has no ``results``."""
-    adapter = adapter_for(study, results, progress, homes)
+    adapter = adapter_for(study, results, progress, homes, explained.base)
     measured = [data for one in study.studies for data in one.experiment.sensed]
     taken = [name for effect in study.library for one in effect.family for name in one.names]
     model = study.studies[0].model

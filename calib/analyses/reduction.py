@@ -8,6 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -212,8 +213,26 @@ def reduction_of(study: LoadedStudy, home: Results | None, progress: Progress = 
     return Reduction.on(problem, wanted.target, basis, path)
 
 
-def reduction_near(study: LoadedStudy) -> Reduction | None:
-    """A basis about the nominal values, for least squares; None where full order is fast enough.
+def is_followed(study: LoadedStudy) -> bool:
+    """Whether least squares alone lead to the fits of a study: then a basis serves that grows where they end.
+
+    It is modes that are compared, no parameter is an integer, and no genetic search is asked for.
+    """
+    given = study.settings.calibration
+    searched = given.method == "genetic" or not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set
+    integer = any(p.integer for p in study.search_space.free)
+    return isinstance(study.problem, ModalProblem) and not (searched or integer)
+
+
+def point_near(study: LoadedStudy, values: Mapping[str, float]) -> dict[str, float]:
+    """All parameters of a study's model at named values, the others nominal as far as its condition sets none."""
+    space = study.model.space
+    there = {**study.search_space.values, **values}
+    return space.complete({name: v for name, v in there.items() if name in space and name not in study.condition})
+
+
+def reduction_near(study: LoadedStudy, begin: Mapping[str, float] = MappingProxyType({})) -> Reduction | None:
+    """A basis about given values, or the nominal ones, for least squares; None where full order is fast enough.
 
     A fit passes few points, and a trained basis serves all within the limits: this one is not trained, but grows where
     fits end, see `Reduction.covering`.
@@ -230,9 +249,8 @@ def reduction_near(study: LoadedStudy) -> Reduction | None:
     moved = {p.name: 0.5 * (p.upper - p.lower) for p in space.free if not p.integer and p.name in model.space}
     moved |= {name: sd for name, sd in study.held_sd.items() if name in model.space}
     target = replace(problem.basis_target(settings.tolerance), moved=tuple(moved.items()))
-    nominal = {name: value for name, value in space.values.items() if name not in study.condition}
     with training(study):
-        basis = basis_at(model, space, target, model.space.complete(nominal))
+        basis = basis_at(model, space, target, point_near(study, begin))
     return Reduction.on(problem, target, basis, None)
 
 

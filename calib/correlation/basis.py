@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from calib.correlation.frf.problem import FRFProblem
@@ -81,11 +81,12 @@ class BasisRequirements:
         effects: Sequence[Effect],
         local: Sequence[Perturbation],
         progress: Progress = silent,
+        at: Mapping[str, float] | None = None,
     ) -> Basis:
         """The next version of a basis, for effects and local perturbations; see `effect_basis`."""
         if isinstance(self.target, FRFTarget):
             return frf_effect_basis(model, basis, self.within(space), effects, self.target, self.seed, progress)
-        return effect_basis(model, basis, space, effects, local, self.seed, progress)
+        return effect_basis(model, basis, space, effects, local, self.seed, progress, at)
 
 
 def parameter_key(p: Parameter) -> tuple[object, ...]:

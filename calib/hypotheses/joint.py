@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,6 +71,12 @@ class JointAdapter:
         """Each test with those of the faults that it may have."""
         own = {test: [e.name for e in one.hypotheses.faults if e.name in faults] for test, one in self.adapters.items()}
         return JointAdapter.of({test: adapter.granting(own[test]) for test, adapter in self.adapters.items()})
+
+    def covering(self, fits: Iterable[CandidateFit]) -> JointAdapter:
+        """Each test with its part of the fits; itself where all of them are represented."""
+        stages = {str(k): one for k, one in enumerate(fits)}
+        grown = {test: one.covering(self.fits_of(test, stages).values()) for test, one in self.adapters.items()}
+        return self if all(grown[test] is one for test, one in self.adapters.items()) else JointAdapter.of(grown)
 
     def notes(self) -> list[str]:
         """The notes of every test."""

@@ -62,12 +62,14 @@ def effects_basis(
     folder: Path | None = None,
     base: Callable[[], Basis] | None = None,
     progress: Progress = silent,
+    at: Mapping[str, float] | None = None,
 ) -> Basis:
     """A basis for the effects and local perturbations of a model, kept in a folder and in the cache, or trained.
 
     Composed effects, of which there may be hundreds, count as local perturbations: the basis spans derivatives by them,
     not modes with each. The folder holds one such basis. ``base`` returns a basis of the model alone; by default that
-    of the cache. EvaluationError when the model cannot be solved at some training point.
+    of the cache. One that serves near a point is made ``at`` that. EvaluationError when the model cannot be solved at
+    some training point.
     """
     from calib.structure.effects.composed import OF_MATRICES  # where a basis is trained
 
@@ -80,12 +82,13 @@ def effects_basis(
     ]
     effects, local = solved, [*local, *composed]
     sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
-    key = basis_key(whole, own, sampled, [weight_key(one) for one in local])
+    near = () if at is None else (sorted(at.items()),)
+    key = basis_key(whole, own, sampled, [weight_key(one) for one in local], *near)
     path = None if folder is None else folder / f"basis_effects_{key}.npz"
 
     def trained() -> Basis:
         of_model = base() if base else kept_basis(None, own, lambda: wanted.trained(model, space, progress))
-        return wanted.with_effects(model, of_model, space, effects, local, progress)
+        return wanted.with_effects(model, of_model, space, effects, local, progress, at)
 
     basis = kept_basis(path, key, trained)
     for old in () if folder is None else folder.glob("basis_effects_*.npz"):

@@ -33,6 +33,7 @@ from calib.problem.labels import label_table
 from calib.problem.space import ParameterSpace
 from calib.structure.effect_places import effect_places
 from calib.structure.effects.perturbations import Perturbation
+from calib.structure.reduction.effect_basis import covering_fits
 
 LABELS = ("kind", "mode", "sensor", "part")
 """Columns of the labels of every kind of test; ``part`` is ``re`` or ``im``, empty where there are no parts."""
@@ -50,12 +51,15 @@ class OneTest(ABC):
     facts : MeasurementFacts
     reduced : bool
         Whether a reduced basis was requested and worthwhile.
+    near : mapping from str to float, optional
+        Parameters of the model about which its basis was made; None for one within all limits, or none at all.
     """
 
     hypotheses: ModelHypotheses[Any]
     perturbations: tuple[Perturbation, ...]
     facts: MeasurementFacts
     reduced: bool = field(default=False, kw_only=True)
+    near: Mapping[str, float] | None = field(default=None, kw_only=True)
     _full: dict[tuple[str, ...], Any] = field(init=False, repr=False, default_factory=dict, kw_only=True)
 
     @property
@@ -72,6 +76,23 @@ class OneTest(ABC):
         if self.reduced and self.hypotheses.variants.basis is None:
             out.append("No reduced basis reached its tolerance: the full model was used.")
         return [*out, *self.facts.notes]
+
+    def covering(self, fits: Iterable[CandidateFit]) -> Self:
+        """The same, with a basis about fits grown where they lie outside what it represents; itself where none does."""
+        variants: Any = self.hypotheses.variants
+        if self.near is None or variants.basis is None:
+            return self
+        known = {e.name: e for e in (*variants.effects, *variants.perturbations)}
+        asked = {}
+        for one in fits:
+            own = [known[name] for name in one.names if name in known]
+            names = (*variants.model.space.names, *(p.name for effect in own for p in effect.parameters))
+            values = {name: one.fit.values[name] for name in names if name in one.fit.values}
+            asked[(one.names if own else (), *values.values())] = own, values
+        basis = covering_fits(variants.model, variants.basis, asked.values())
+        if basis is variants.basis:
+            return self
+        return replace(self, hypotheses=replace(self.hypotheses, variants=replace(variants, basis=basis)))
 
     def at_full_order(self, names: tuple[str, ...]) -> Any:
         """The pair of the model with the named effects, at full order."""
@@ -238,7 +259,9 @@ class OneTest(ABC):
         basis = variants.basis
         if basis is not None:
             wanted = BasisRequirements.of(self.hypotheses.pair.problem, basis.tolerance, self.facts.seed)
-            basis = wanted.with_effects(variants.model, basis, self.hypotheses.space, [simpler.richer], (), progress)
+            basis = wanted.with_effects(
+                variants.model, basis, self.hypotheses.space, [simpler.richer], (), progress, self.near
+            )
         exchanged = variants.exchanged(simpler, simpler.richer, basis)
         return replace(self, hypotheses=replace(self.hypotheses, variants=exchanged))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Protocol, Self
 
 import pandas as pd
@@ -48,6 +48,10 @@ class Adapter(Protocol):
 
     def granting(self, faults: Sequence[str]) -> Adapter:
         """The same with faults of the measurement among the parameters of its base model."""
+        ...
+
+    def covering(self, fits: Iterable[CandidateFit]) -> Adapter:
+        """The same, with a reduced basis that also represents given fits; itself where its own does."""
         ...
 
     def with_effects(self, effects: Sequence[Effect]) -> Hypotheses:

@@ -115,6 +115,13 @@ class Explanation:
     minor: tuple[str, ...] = ()
     odds_against_datum: float = math.nan
 
+    @property
+    def every(self) -> tuple[CandidateFit, ...]:
+        """Every fit that it tells."""
+        steps = () if self.steps is None else tuple(step.candidate_fit for step in self.steps.steps)
+        single = (self.base, self.perturbation, self.place, self.chosen, self.fault)
+        return (*filter(None, single), *self.candidate_fits, *self.faults, *steps)
+
     def ln_bayes(self, candidate_fit: CandidateFit | WrongDatum) -> float:
         """Log Bayes factor of a candidate fit, or of a wrong datum, against the base model."""
         return candidate_fit.ln_evidence - self.base.ln_evidence

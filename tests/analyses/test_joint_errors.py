@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses.explain import adapters_for, by_test, decision
+from calib.analyses.explain import by_test, decision
+from calib.analyses.hypotheses_of_study import adapters_for
 from calib.api.pairs import library_of
 from calib.hypotheses.joint import joined_adapter
 from calib.missing.findings import findings

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import calib
-from calib.analyses.explain import adapters_for
+from calib.analyses.hypotheses_of_study import adapters_for
 from calib.api.pairs import library_of
 from calib.missing.joint import JointHypotheses
 from calib.study.loading import module_of

@@ -9,7 +9,7 @@ import pytest
 from scipy.linalg import eigh
 
 import calib
-from calib.analyses.explain import adapters_for
+from calib.analyses.hypotheses_of_study import adapters_for
 from calib.structure.affine import Monomial
 from calib.structure.effects.attach import outer_term
 from calib.structure.effects.extend import Addition

@@ -52,7 +52,8 @@ from rates_table import NAMING, Rate, bound_of, write_rates
 from rates_world import digest_of
 
 import calib
-from calib.analyses.explain import adapter_for, decision
+from calib.analyses.explain import decision
+from calib.analyses.hypotheses_of_study import adapter_for
 from calib.execution.stage import silent
 from calib.measurement.modal import MeasuredModes, Sensor
 from calib.missing.explanation import Explanation

@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 import calib
-from calib.analyses.explain import adapters_for
-from calib.analyses.hypotheses_of_study import adapter_of
+from calib.analyses.hypotheses_of_study import adapter_of, adapters_for
 from calib.command import cli
 from calib.errors.errors import InputError
 from calib.hypotheses.joint import joined_adapter

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
+from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
 from calib.execution.tasks import each
 from calib.problem.effect import Effect
@@ -22,7 +24,8 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.frf_target import FRFTarget
-from calib.structure.reduction.growth import Growth, next_round
+from calib.structure.reduction.growth import POD, Growth, next_round
+from calib.structure.reduction.mode_target import REFINED
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
 from calib.structure.reduction.training import space_filling_points
@@ -34,6 +37,8 @@ _STRONG = 2.0
 """Largest sampled magnitude, over the plausible one."""
 _ERROR = 3e-5
 """Squared projection error of every vector, relative to the strain energy of its mode."""
+_NEARER = 3e-6
+"""The same about one point, whose basis has less to represent."""
 _REFINED = 0.1 * _ERROR
 """Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _EFFECTS = 4
@@ -56,6 +61,7 @@ def effect_basis(
     perturbations: Sequence[Perturbation],
     seed: int,
     progress: Progress = silent,
+    at: Mapping[str, float] | None = None,
 ) -> Basis:
     """The next version of a basis, which spans modes with effects and derivatives by perturbations.
 
@@ -78,9 +84,11 @@ def effect_basis(
     seed : int
     progress : callable
         Called before every few effects and every batch of perturbations.
+    at : mapping, optional
+        The only point, instead of the middle and others.
     """
-    growth, points = Growth(model, basis), _points(space, seed)
-    middle, vectors = points[0], basis.vectors
+    growth, points = Growth(model, basis), _points(space, seed) if at is None else [dict(at)]
+    middle, vectors, error = points[0], basis.vectors, _ERROR if at is None else _NEARER
     room = _NUMBERS // (model.n_dof * basis.count)
     together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the span does not depend on it
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
@@ -91,7 +99,7 @@ def effect_basis(
         solved = each(_near, [known.extended([one]) for one in few], asked)
         for k in range(len(few)):
             seen = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
-            vectors = growth.widened(vectors, np.hstack(seen), _ERROR)
+            vectors = growth.widened(vectors, np.hstack(seen), error)
     nominal = model.modes(middle, basis.count)
     local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
     for first in range(0, len(perturbations), together):
@@ -100,8 +108,29 @@ def effect_basis(
         wider = extend(model, [one.effect for one in some])
         slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
         for k in range(0, len(slopes), _BATCH):
-            vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), _ERROR)
+            vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), error)
     return replace(basis, vectors=vectors, version=basis.version + 1)
+
+
+def covering_fits(
+    model: StructuralModel, basis: Basis, fits: Iterable[tuple[Sequence[Effect], Mapping[str, float]]]
+) -> Basis:
+    """The same basis, or the next version, which meets its tolerance also with given effects at given values each.
+
+    Where the error indicator exceeds it, what the modes there lack is added. A point that cannot be solved is left out.
+    """
+    growth, vectors = Growth(model, basis), basis.vectors
+    for effects, values in fits:
+        inner = ReducedModel(model, replace(basis, vectors=vectors), factor=growth.factor)
+        known = inner.extended(effects) if effects else inner
+        with contextlib.suppress(EvaluationError):
+            modes = known.modes(values, known.n_modes)
+            counts = (modes.natural_freq <= basis.freq_max) & (modes.damping_ratio < basis.damping_max)
+            if np.max(known.indicator(values, modes)[counts], initial=0.0) > basis.tolerance:
+                solved = modes_near(known, values, known.n_modes, REFINED * basis.tolerance)
+                vectors = growth.widened(vectors, _unit(growth, solved, model.n_dof, basis), POD * basis.tolerance)
+    grown = vectors.shape[1] > basis.size
+    return replace(basis, vectors=vectors, version=basis.version + 1) if grown else basis
 
 
 def frf_effect_basis(

@@ -19,7 +19,7 @@ from calib.structure.reduction.refinement import modes_near, refined_modes, unda
 
 _NEAR = 1.15
 """Modes up to this multiple of the highest wanted frequency are included: they may be lower at other points."""
-_REFINED = 0.01
+REFINED = 0.01
 """Accuracy of refined modes, over the tolerance."""
 _DIRECTIONS = 2
 """Most directions in which parameters move modes, over the number of modes and parameters together."""
@@ -71,7 +71,7 @@ class ModeTarget:
         """Modes of the full model, refined from a reduced one where it is known."""
         if known is None:
             return model.modes(values, self.count)
-        return modes_near(known, values, self.count, _REFINED * self.tolerance)
+        return modes_near(known, values, self.count, REFINED * self.tolerance)
 
     def columns(self, modes: Modes, energy: sp.csc_array) -> np.ndarray:
         """Real columns that span modes, each mode of unit energy."""
@@ -152,7 +152,7 @@ class ModeTarget:
     def error(self, reduced: ReducedModel, values: Mapping[str, float], counted: bool = False) -> float:
         """Largest error of an eigenvalue or shape against the full model; infinite for a missed mode."""
         if counted and undamped_count_agrees(reduced, values, self.count):
-            refined = refined_modes(reduced, values, self.count, _REFINED * self.tolerance)
+            refined = refined_modes(reduced, values, self.count, REFINED * self.tolerance)
             if refined is not None:
                 found = mode_errors(reduced, values, self.count, refined).worst
                 if found <= self.tolerance:
