@@ -24,7 +24,7 @@ from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.frf_target import FRFTarget
-from calib.structure.reduction.growth import POD, Growth, next_round
+from calib.structure.reduction.growth import Growth, next_round
 from calib.structure.reduction.mode_target import REFINED
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near
@@ -127,8 +127,9 @@ def covering_fits(
             modes = known.modes(values, known.n_modes)
             counts = (modes.natural_freq <= basis.freq_max) & (modes.damping_ratio < basis.damping_max)
             if np.max(known.indicator(values, modes)[counts], initial=0.0) > basis.tolerance:
-                solved = modes_near(known, values, known.n_modes, REFINED * basis.tolerance)
-                vectors = growth.widened(vectors, _unit(growth, solved, model.n_dof, basis), POD * basis.tolerance)
+                accuracy = REFINED * basis.tolerance
+                solved = modes_near(known, values, known.n_modes, accuracy)
+                vectors = growth.widened(vectors, _unit(growth, solved, model.n_dof, basis), accuracy)
     grown = vectors.shape[1] > basis.size
     return replace(basis, vectors=vectors, version=basis.version + 1) if grown else basis
 
