@@ -17,7 +17,7 @@ from calib.structure.eigenproblem.mode_systems import Damped, Matrix, Undamped, 
 from calib.structure.eigenproblem.solve import DENSE_LIMIT
 from calib.structure.modes import Modes
 
-_ENTRIES = 1_000_000
+_ENTRIES = 200_000
 """Entries of a block of right-hand sides: several such blocks are in memory at a time."""
 
 _FEW = 0.1

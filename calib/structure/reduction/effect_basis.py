@@ -6,6 +6,7 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import scipy.sparse as sp
@@ -27,7 +28,7 @@ from calib.structure.reduction.frf_target import FRFTarget
 from calib.structure.reduction.growth import Growth, next_round
 from calib.structure.reduction.mode_target import REFINED
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.refinement import modes_near
+from calib.structure.reduction.refinement import modes_near, real_columns
 from calib.structure.reduction.training import space_filling_points
 from calib.structure.rules import RULES
 
@@ -107,8 +108,8 @@ def effect_basis(
         some = perturbations[first : first + together]
         wider = extend(model, [one.effect for one in some])
         slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
-        for k in range(0, len(slopes), _BATCH):
-            vectors = growth.widened(vectors, np.hstack(slopes[k : k + _BATCH]), error)
+        while batch := list(islice(slopes, _BATCH)):
+            vectors = growth.widened(vectors, np.hstack(batch), error)
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
@@ -198,7 +199,7 @@ def _unit(growth: Growth, modes: Modes, rows: int, basis: Basis) -> np.ndarray:
     energy = np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real
     moving = energy > 1e-6 * energy.max(initial=0.0)
     kept = shapes[:, moving] / np.sqrt(energy[moving])
-    return np.hstack([kept.real, kept.imag]) if modes.is_complex else kept
+    return real_columns(kept)
 
 
 def _derivatives(
@@ -209,7 +210,7 @@ def _derivatives(
     perturbations: Sequence[Perturbation],
     basis: Basis,
     local: spla.SuperLU | None,
-) -> list[np.ndarray]:
+) -> Iterator[np.ndarray]:
     """Derivatives of a model's modes by each perturbation, (n_dof, m) with real and imaginary parts.
 
     Perturbations add no degrees of freedom and have magnitude 0 at the point.
@@ -220,10 +221,9 @@ def _derivatives(
     shapes = modes.shapes[:, chosen]
     size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
     usable = np.hstack([part.regular for part in parts]) & (modes.damping_ratio[chosen] < basis.damping_max)
-    weights = [_weight(growth, model, one, local) for one in perturbations]
-    slopes = (np.hstack(own) for own in zip(*(part.shapes for part in parts), strict=True))
-    columns = [weight * slope[:, usable] / size[usable] for weight, slope in zip(weights, slopes, strict=True)]
-    return [np.hstack([c.real, c.imag]) if np.iscomplexobj(c) else c for c in columns]
+    for one, *own in zip(perturbations, *(part.shapes for part in parts), strict=True):
+        column = np.hstack(own)[:, usable] * (_weight(growth, model, one, local) / size[usable])
+        yield real_columns(column)
 
 
 def _slopes(

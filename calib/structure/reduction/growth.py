@@ -149,7 +149,7 @@ class Growth:
 
     def gram(self, vectors: np.ndarray) -> np.ndarray:
         """Energy products of vectors (n_dof, m) with each other, (m, m)."""
-        return np.hstack([vectors.T @ (self.matrix @ vectors[:, some]) for some in _blocks(vectors.shape[1])])
+        return products(self.matrix, vectors)
 
     def spanned(self, vectors: np.ndarray, least: float) -> np.ndarray:
         """Orthonormal basis of vectors (n_dof, m); directions of energy below ``least`` (squared norm) are dropped."""
@@ -269,6 +269,11 @@ class Growth:
         """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
         new = self.spanned(self.project_out(vectors, basis), least)
         return np.hstack([basis, self.project_out(new, basis)])
+
+
+def products(energy: sp.csc_array, vectors: np.ndarray) -> np.ndarray:
+    """Products of vectors (n_dof, m) with each other in an inner product (n_dof, n_dof), (m, m)."""
+    return np.hstack([vectors.T @ (energy @ vectors[:, some]) for some in _blocks(vectors.shape[1])])
 
 
 def _blocks(count: int) -> list[slice]:

@@ -14,8 +14,9 @@ from calib.structure.eigenproblem.mode_systems import eigenvalues
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.certificate import mode_errors
+from calib.structure.reduction.growth import products
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.refinement import modes_near, refined_modes, undamped_count_agrees
+from calib.structure.reduction.refinement import modes_near, real_columns, refined_modes, undamped_count_agrees
 
 _NEAR = 1.15
 """Modes up to this multiple of the highest wanted frequency are included: they may be lower at other points."""
@@ -81,8 +82,7 @@ class ModeTarget:
             return np.asarray(shapes / np.sqrt(size))
         # Rotated to the phase that maximises the real part.
         turn = np.exp(-0.5j * np.angle(np.einsum("ij,ij->j", shapes, energy @ shapes)))
-        shapes = shapes * (turn / np.sqrt(size))
-        return np.hstack([shapes.real, shapes.imag])
+        return real_columns(shapes * (turn / np.sqrt(size)))
 
     def directions(
         self,
@@ -108,23 +108,23 @@ class ModeTarget:
         modes : Modes
             Solved there.
         static : callable
-            Static responses (n_dof, n_forces) to forces of that shape, real or complex.
+            Static responses (n_dof, n_forces) to real forces of that shape.
         """
         names = [name for name, _ in self.moved]
         point = beside_roots(model.space, model.roots, values, names)
         kept = modes.subset(np.flatnonzero(modes.natural_freq <= _NEAR * self.freq_max))
         lam, shapes = eigenvalues(kept), kept.shapes
         size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), energy @ shapes).real)
-        forces = [np.zeros((model.n_dof, 0))]
-        for name, change in self.moved:
+        width = shapes.shape[1] * (2 if kept.is_complex else 1)
+        moves = np.empty((model.n_dof, width * len(names)))
+        for k, (name, change) in enumerate(self.moved):
             dk, dc, dm = model.matrix_derivatives(point, name)
             force = dk @ shapes + (lam**2).real * (dm @ shapes)
             if kept.is_complex:
                 force = force + lam * (dc @ shapes) + 1j * (lam**2).imag * (dm @ shapes)
-            forces.append(force * (change / size))
-        moves = static(np.hstack(forces))
-        moves = np.hstack([moves.real, moves.imag]) if np.iscomplexobj(moves) else moves
-        energies, turn = la.eigh(moves.T @ (energy @ moves)) if moves.shape[1] else (np.zeros(0), np.zeros((0, 0)))
+            force = force * (change / size)
+            moves[:, k * width : (k + 1) * width] = static(real_columns(force))
+        energies, turn = la.eigh(products(energy, moves)) if moves.shape[1] else (np.zeros(0), np.zeros((0, 0)))
         most = _DIRECTIONS * (kept.n_modes + len(names))
         first = max(len(energies) - most, int(np.count_nonzero(energies < self.tolerance)))
         return np.asarray(moves @ turn[:, first:])

@@ -134,12 +134,12 @@ def refined_modes(
     )
     rest = _residual(modes, stiffness, damping, mass)
     space = GrowingSpace((stiffness, damping, mass), scale)
-    space.add(np.hstack([reduced.lift(_rigid(reduced, values)), _real(modes.shapes)]))
+    space.add(np.hstack([reduced.lift(_rigid(reduced, values)), real_columns(modes.shapes)]))
     error, waiting = np.full(count, np.inf), np.arange(count)
     for _ in range(STEPS):
         correction = _both_parts(factor, rest[:, waiting])
         error[waiting] = np.abs(np.einsum("ij,ij->j", rest[:, waiting].conj(), correction)) / _size(modes)[waiting]
-        space.add(_real(correction))
+        space.add(real_columns(correction))
         basis = space.basis
 
         def shared(shape: np.ndarray, basis: np.ndarray = basis) -> float:
@@ -215,7 +215,7 @@ def _regular(k: np.ndarray, m: np.ndarray) -> float:
     return _SHIFT * float(np.max(np.diag(k)[heavy] / np.diag(m)[heavy]))
 
 
-def _real(columns: np.ndarray) -> np.ndarray:
+def real_columns(columns: np.ndarray) -> np.ndarray:
     """Real and imaginary parts of complex columns side by side; real columns as they are."""
     return np.hstack([columns.real, columns.imag]) if np.iscomplexobj(columns) else columns
 
