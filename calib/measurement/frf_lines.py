@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from calib.measurement.rules import RULES
 
@@ -49,6 +48,7 @@ def resonances(
     mean_of : int
         Lines, an odd number, over whose mean power peaks are sought; their places and widths are of single lines.
     """
+    from scipy.ndimage import uniform_filter1d
     from scipy.signal import find_peaks  # slow to import, and not every command looks for resonances
 
     level, mean = 10 * np.log10(np.maximum(power, 1e-300)), uniform_filter1d(power, mean_of, mode="nearest")

@@ -6,7 +6,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.optimize import minimize
 
 from calib.errors.errors import InputError
 from calib.measurement.frf import MeasuredFRFs, Quantity
@@ -283,6 +282,8 @@ def repeatability(every: np.ndarray) -> np.ndarray:
     -------
     ndarray (n_freq,)
     """
+    from scipy.optimize import minimize
+
     known = np.isfinite(every)
     count = known.sum(axis=0)
     mean = np.where(known, every, 0.0).sum(axis=0) / np.maximum(count, 1)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from calib.errors.errors import InputError
 from calib.measurement.mac import mac
@@ -53,6 +52,8 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     InputError
         When another assignment is as good: the matching is ambiguous.
     """
+    from scipy.optimize import linear_sum_assignment
+
     columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
     for r in range(1, len(freqs)):
         score = _mean_scores(columns, freqs, shapes, r)
@@ -106,6 +107,8 @@ def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: np.ndarray, others
 def _refuse_ambiguous(
     source: str, freq: np.ndarray, score: np.ndarray, chosen: dict[int, int], *, by_shape: bool
 ) -> None:
+    from scipy.optimize import linear_sum_assignment
+
     best = sum(score[i, c] for i, c in chosen.items())
     for i, c in chosen.items():
         other = score.copy()

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy import special
 
 from calib.measurement.rules import RULES
 
@@ -94,6 +93,8 @@ def _outlying(
     values: np.ndarray, kept: np.ndarray, start: np.ndarray, floor: np.ndarray, parts: int, least: float
 ) -> list[Outlying]:
     """Blocks with a p-value below ``least``; of each group fewer than half of those it had at the ``start``."""
+    from scipy import special
+
     n_groups = len(start)
     count = kept.any(axis=2).sum(axis=0)
     prior = _variance_prior(_variance(values, kept, floor), parts * (count - 1.0), count > 1)
@@ -186,6 +187,8 @@ class _VariancePrior:
 
 def _variance_prior(variance: np.ndarray, dof: np.ndarray, known: np.ndarray) -> _VariancePrior:
     """Prior degrees of freedom of each group's variance, and the common variance of the other groups."""
+    from scipy import special
+
     n_groups = len(variance)
     used = np.flatnonzero(known & (variance > 0))
     if len(used) < RULES.outlier_groups:
@@ -231,11 +234,15 @@ def _median_of_others(values: np.ndarray) -> np.ndarray:
 
 def _trigamma(value: np.ndarray) -> np.ndarray:
     """Second derivative of the log gamma function, as Hurwitz's zeta function (Abramowitz and Stegun 1964, 6.4.10)."""
+    from scipy import special
+
     return np.asarray(special.zeta(2.0, value))
 
 
 def _inverse_trigamma(value: np.ndarray) -> np.ndarray:
     """Argument at which the trigamma function has a value > 0, by Newton's method on its reciprocal (Smyth 2004)."""
+    from scipy import special
+
     x = 0.5 + 1.0 / value
     for _ in range(50):
         first, second = _trigamma(x), -2.0 * special.zeta(3.0, x)

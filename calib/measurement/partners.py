@@ -4,16 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
-from scipy.spatial import cKDTree
 
 from calib.errors.errors import InputError
 from calib.measurement.frf_units import LENGTHS
 from calib.measurement.places import Point
 from calib.measurement.rules import RULES
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 PARTNER_COLUMNS = (
     "node", "x", "y", "z", "partner", "partner_x", "partner_y", "partner_z", "distance", "limit", "remark",
@@ -226,6 +228,8 @@ class _Nearest:
 
     @classmethod
     def of(cls, points: np.ndarray, places: np.ndarray, limit: float | None) -> _Nearest:
+        from scipy.spatial import cKDTree
+
         tree, size = cKDTree(places), float(np.ptp(places, axis=0).max(initial=0.0))
         count = min(_NEIGHBOURS, len(places))
         far, found = (np.reshape(own, (len(points), count)) for own in tree.query(points, k=count))

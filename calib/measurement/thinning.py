@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.ndimage import median_filter, uniform_filter1d
 
 from calib.measurement.frf import MeasuredFRFs, MeasuredFunction
 from calib.measurement.frf_lines import Resonance, resonances
@@ -130,6 +129,8 @@ def _noise(values: np.ndarray, std: np.ndarray) -> np.ndarray:
 
     Second differences of independent errors have 3/2 of their power, whose median is ln 2 of its mean.
     """
+    from scipy.ndimage import median_filter, uniform_filter1d
+
     if np.all(std > 0) or len(values) <= QUIET:
         return np.asarray(uniform_filter1d(2 * np.nan_to_num(std) ** 2, QUIET, mode="nearest"))
     bent = np.abs(values[1:-1] - (values[:-2] + values[2:]) / 2) ** 2

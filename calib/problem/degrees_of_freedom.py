@@ -7,7 +7,6 @@ from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import special
 
 KNOWN = 1e9
 """Degrees of freedom of a standard deviation that is known exactly."""
@@ -193,6 +192,8 @@ def p_value(chi2: np.ndarray | float, dof: np.ndarray | float, std_dof: np.ndarr
     Below one degree of freedom the value for one is used, which is no smaller: a saturated fit carries no evidence
     unless its residual is not zero.
     """
+    from scipy import special
+
     counted = np.maximum(dof, 1.0)
     behind_std = np.minimum(std_dof, KNOWN)
     estimated = special.fdtrc(counted, behind_std, np.asarray(chi2) / counted)

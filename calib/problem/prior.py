@@ -9,7 +9,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from scipy import special
 
 from calib.errors.arguments import number
 from calib.errors.errors import InputError
@@ -116,6 +115,8 @@ class Density:
 
     def score(self, value: float) -> float:
         """The standard normal value of the same probability."""
+        from scipy import special
+
         return float(special.ndtri(min(max(self._below(value), _TAIL), 1.0 - _TAIL)))
 
     def width(self, value: float) -> float:

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linprog
 
 from calib.errors.arguments import number, objects
 from calib.errors.errors import InputError
@@ -359,6 +358,8 @@ class ParameterSpace:
 
     def require_feasible(self) -> None:
         """Raise InputError when no point of the space satisfies all constraints (by linear programming)."""
+        from scipy.optimize import linprog
+
         rows, low, high = self.constraint_rows()
         if not len(rows):
             return

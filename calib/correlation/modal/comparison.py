@@ -10,7 +10,6 @@ from itertools import pairwise
 
 import numpy as np
 import pandas as pd
-from scipy import special
 
 from calib.correlation.modal.pairing import Pairing
 from calib.correlation.rules import RULES
@@ -316,6 +315,8 @@ class Comparison:
 
     def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
         """Quantile `RULES.level` of ``in_std`` for a correctly specified model."""
+        from scipy import special
+
         dof = np.maximum(dof, 1e-9)
         behind = dof_behind(self.measured, "shape" if kind == "sensor" else kind, dof)
         return np.sqrt(special.fdtri(dof, np.minimum(behind, 1e9), RULES.level))

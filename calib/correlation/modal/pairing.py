@@ -7,7 +7,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.modal.order import Costs, align_in_order
 from calib.correlation.rules import RULES
@@ -83,6 +82,8 @@ def pair_by_shape(
     InputError
         When a choice names a mode that does not exist or one model mode twice.
     """
+    from scipy.optimize import linear_sum_assignment
+
     n_measured, n_model = emac.shape
     forced = _forced(override, names, n_model)
     offered = np.ones(n_model, dtype=bool) if candidates is None else np.asarray(candidates, dtype=bool)

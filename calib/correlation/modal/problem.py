@@ -9,7 +9,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.mesh_error import MeshError
 from calib.correlation.modal import pairing as pairs
@@ -356,6 +355,8 @@ class ModalProblem:
     @cached_property
     def _reference(self) -> tuple[Point, Pairing, Costs] | None:
         """Reference point of pairs without shapes; None where the model cannot be solved there."""
+        from scipy.optimize import linear_sum_assignment
+
         values = self.space.complete({n: v for n, v in self.reference.items() if n in self.space.names})
         try:
             there = Point(values, self.model.modes(values, self.mode_count))
@@ -363,8 +364,7 @@ class ModalProblem:
             return None
         if there.modes.n_modes < self.mode_count:
             return None
-        inherited = self._base_reference
-        if inherited is None:
+        if (inherited := self._base_reference) is None:
             return (there, *self._ordered(there.modes))
         (_, modes), pairing, costs = inherited
         index = pairing.model_index.copy()

@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from scipy.optimize import linear_sum_assignment
 
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.problem import ModalProblem
@@ -143,6 +142,8 @@ def _matched(here: Comparison, there: Comparison) -> BothMeshes:
     Modes of nearly the same frequency are turned into each other by any small change: what counts as the finer one is
     the part of the mode that such a group of modes forms.
     """
+    from scipy.optimize import linear_sum_assignment
+
     pairs, freq, shapes = here.pairing, there.modes.natural_freq, there.sensor_shapes
     coarse = here.sensor_shapes[:, pairs.model_index[pairs.paired]]
     similar = mac(coarse, shapes)

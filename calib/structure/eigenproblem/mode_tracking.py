@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from calib.errors.errors import EvaluationError
 from calib.measurement.mac import align
@@ -66,6 +65,8 @@ def successors(
     weighted : callable
         Returns shapes times the mass matrix of the start, (n_dof, n_modes), or None where there is none.
     """
+    from scipy.optimize import linear_sum_assignment
+
     a, b = start.shapes[:, columns], end.shapes
     of_a, of_b = weighted(a), weighted(b)
     here, there = (a, b) if of_a is None or of_b is None else (of_a, of_b)
