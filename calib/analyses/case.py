@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass, field, fields, replace
 from functools import cached_property, partial
-from typing import Any, TypeAlias
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from calib.analyses.case_found import CaseFound, reported
 from calib.analyses.case_starts import (
@@ -44,7 +44,6 @@ from calib.execution.stage import Progress, silent, with_prefix
 from calib.experiment.test import ForwardProblem
 from calib.hypotheses.linear_start import estimate_by_equations, linear_starts
 from calib.inference.cases import Case, CaseResult, run_case
-from calib.inference.genetic import GeneticSettings
 from calib.inference.integers import combinations
 from calib.inference.linear_estimate import LinearEstimate
 from calib.inference.objective import Objective
@@ -56,6 +55,9 @@ from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
+
+if TYPE_CHECKING:
+    from calib.inference.genetic import GeneticSettings
 
 Homes: TypeAlias = Mapping[str, Results]
 """Folders that keep the reduced bases of the tests, by name of the test; those of a study in memory have none."""
@@ -71,6 +73,8 @@ def objective_of(study: AnyStudy) -> Objective:
 
 def genetic_settings(study: AnyStudy, quick: bool) -> GeneticSettings:
     """Settings of the genetic algorithm, smaller for a quick run."""
+    from calib.inference.genetic import GeneticSettings
+
     own = {one.name for one in fields(GeneticSettings)}
     given = GeneticSettings(**study.settings.calibration.model_dump(include=own))
     if not quick:

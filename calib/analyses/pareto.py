@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -21,7 +22,6 @@ from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.execution.stage import Progress, silent
-from calib.inference.genetic import GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.pareto import ResponseGroup, front_of, groups_of, knee_of, search_front
 from calib.results.answer import Answer
@@ -29,6 +29,9 @@ from calib.results.ledger import Ledger
 from calib.results.results import Results
 from calib.study.search_settings import ParetoSettings
 from calib.study.several import AnyStudy
+
+if TYPE_CHECKING:
+    from calib.inference.genetic import GeneticSettings
 
 FRONT, FITTED = "front", "least squares"
 """Kinds of rows."""

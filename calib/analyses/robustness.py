@@ -23,7 +23,6 @@ from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.inference.freed import beside_data
-from calib.inference.genetic import reflect
 from calib.inference.identify import posterior
 from calib.problem.prior import Prior
 from calib.problem.sampling import Narrow
@@ -277,6 +276,8 @@ def _within(
     values: Mapping[str, float],
 ) -> np.ndarray:
     """Points after changes (n, n_names), reflected at their limits, that keep the constraints."""
+    from calib.inference.genetic import reflect
+
     points = np.empty_like(change)
     for k, name in enumerate(names):
         p = space[name]

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy import stats
+from scipy import special
 
 from calib.errors.errors import EvaluationError
 from calib.inference.gauss_newton import fit
@@ -159,7 +159,7 @@ def between_tests(problem: JointProblem, varies: Sequence[str], values: Mapping[
         drop = 2 * (levels[k].max() - levels[k][0])
         ends = [_quantile(grids[k], levels[k], q) for q in (0.5, 0.025, 0.975)]
         rows.append((name, unit, MEAN, mean, mean - wide, mean + wide, np.nan))
-        rows.append((name, unit, SPREAD, *ends, float(0.5 * stats.chi2.sf(max(drop, 0.0), 1))))
+        rows.append((name, unit, SPREAD, *ends, float(0.5 * special.chdtrc(1, max(drop, 0.0)))))
         for j, test in enumerate(acting[name]):
             value, reach_of = mean + middle[linear.blocks[k][j]], WIDE * std[1 + j]
             rows.append((name, unit, test, value, value - reach_of, value + reach_of, np.nan))
@@ -168,7 +168,7 @@ def between_tests(problem: JointProblem, varies: Sequence[str], values: Mapping[
     measured = linear.slope[: len(residual)]  # without rows of correlated priors
     dof = len(residual) - float(np.sum(covariance * (measured.T @ measured)))
     misfit = float(residual @ residual)
-    return Between(table, misfit, float(before_fit @ before_fit), float(stats.chi2.sf(misfit, max(dof, 1.0))))
+    return Between(table, misfit, float(before_fit @ before_fit), float(special.chdtrc(max(dof, 1.0), misfit)))
 
 
 def _linearised(

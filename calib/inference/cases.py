@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 import pandas as pd
@@ -16,11 +16,13 @@ import pandas as pd
 from calib.errors.errors import EvaluationError, raised_anew
 from calib.execution.evaluate import BatchEvaluator, Recorder
 from calib.execution.outcome import Individual, Outcome, failure, point_key
-from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.inference.rules import RULES
 from calib.problem.problem import Counts
 from calib.problem.space import ParameterSpace
+
+if TYPE_CHECKING:
+    from calib.inference.genetic import GeneticSettings
 
 FAILED = 1e12
 """Violation of a point that could not be evaluated: behind every point that merely breaks a constraint."""
@@ -141,6 +143,8 @@ def run_case(
     InputError
         From ledger, evaluator or objective.
     """
+    from calib.inference.genetic import GeneticSearch
+
     started = time.perf_counter()
     run = run_id(case, space, objective, settings, fingerprint, initial)
     search = GeneticSearch(space, settings, initial, case.seed)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from calib.errors.errors import EvaluationError, InputError
 from calib.execution.evaluate import BatchEvaluator, Recorder
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.inference.cases import FAILED, scaled_violation
-from calib.inference.genetic import GeneticSearch, GeneticSettings
 from calib.inference.objective import Objective
 from calib.problem.space import ParameterSpace
+
+if TYPE_CHECKING:
+    from calib.inference.genetic import GeneticSettings
 
 FREQUENCIES, SHAPES = "frequencies", "shapes"
 """Names of the two groups of a study that names none."""
@@ -128,6 +131,8 @@ def search_front(
     EvaluationError
         When no individual of a whole population could be evaluated; with the last error.
     """
+    from calib.inference.genetic import GeneticSearch
+
     search = GeneticSearch(space, settings, initial, seed, objectives=2)
     found = dict[str, Outcome]()
     fault, evaluated = EvaluationError("every individual broke a limit or constraint"), 0
