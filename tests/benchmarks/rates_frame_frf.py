@@ -51,6 +51,19 @@ LEAST = 4.0
 """Expected score below which an effect may stay unseen."""
 
 
+def forces() -> tuple[Sensor, ...]:
+    """Where the shakers act."""
+    mesh = frame(COARSE)
+    nodes = [(mesh.node(member, along), direction) for member, along, direction in SHAKERS]
+    return tuple(Sensor(node + 1, direction, mesh.points[node]) for node, direction in nodes)
+
+
+def sensors() -> tuple[Sensor, ...]:
+    """Every third place of the modal test, and the drive points, without which a fit has no linear start."""
+    some, driven = layout()[::3], {f.name for f in forces()}
+    return (*some, *(s for s in layout() if s.name in driven - {own.name for own in some}))
+
+
 @dataclass(frozen=True)
 class Fault:
     """A channel that reads wrong in all repeats.
@@ -134,7 +147,7 @@ class FRFFrameWorld(FrameWorld):
         nothing: tuple[str, ...] = ()
         return FrameSpecimen(
             file=ROOT, base=frame(COARSE).model(damped=True), fine=frame(FINE).model(damped=True),
-            library=frame_effects(), outside=outside_effects(), modes=nothing, layout=layout()[::3],
+            library=frame_effects(), outside=outside_effects(), modes=nothing, layout=sensors(),
             nominal=np.zeros((0, 0)),
         )  # fmt: skip
 
@@ -180,12 +193,8 @@ class FRFFrameWorld(FrameWorld):
     @cached_property
     def _test(self) -> Any:
         """How a frame is measured."""
-        forces, mesh = list[Sensor](), frame(COARSE)
-        for member, along, direction in SHAKERS:
-            node = mesh.node(member, along)
-            forces.append(Sensor(node + 1, direction, mesh.points[node]))
         return frf_twin.FRFTest(
-            LINES, self.specimen.layout, tuple(forces), "accelerance", share=SHARE, floor=FLOOR, repeats=REPEATS
+            LINES, self.specimen.layout, forces(), "accelerance", share=SHARE, floor=FLOOR, repeats=REPEATS
         )
 
     def _functions(
