@@ -156,6 +156,11 @@ def test_thirty_frames_by_frfs_are_a_round(by_frfs):
     assert groups == {"nothing": 6, "fault": 6, "single": 14} and sum(s.each for s in by_frfs.kinds) == 30
 
 
+def test_every_force_has_a_sensor_at_its_drive_point(by_frfs):
+    test = by_frfs._test
+    assert len(test.references) == 2 and set(test.references) <= set(test.responses)
+
+
 @pytest.mark.parametrize("kind", ["gain", "phase"])
 def test_a_wrong_channel_is_read_by_its_functions_alone(bench, by_frfs, kind):
     made, test = bench["rates_frame_frf"], by_frfs._test
