@@ -60,13 +60,13 @@ class LocalPerturbation:
 
     @property
     def in_words(self) -> str:
-        """In words, such as ``damping of the rear right damper, about 60 % lost [45, 72]``."""
+        """In words, such as ``damping of the rear right damper, about 60 % lost (95 %: 45 to 72)``."""
         if not self.effect.part:
-            unit = unit_words(self.effect.magnitude.unit)
-            return f"{self.effect.title}, about {self.value:.2g}{unit} [{self.low:.2g}, {self.high:.2g}]"
+            unit = self.effect.magnitude.unit
+            return f"{self.effect.title}, {interval_words(self.value, self.low, self.high, unit)}"
         sign, word = (-1, "lost") if self.value < 0 else (1, "more")
         low, high = sorted((100 * sign * self.low, 100 * sign * self.high))
-        return f"{self.effect.part}, about {100 * abs(self.value):.0f} % {word} [{low:.0f}, {high:.0f}]"
+        return f"{self.effect.part}, about {100 * abs(self.value):.0f} % {word} (95 %: {low:.0f} to {high:.0f})"
 
 
 def local_perturbation(candidate_fit: CandidateFit, of: Candidate | None = None) -> LocalPerturbation:

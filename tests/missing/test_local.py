@@ -42,12 +42,13 @@ def test_an_addition_at_a_sensor_is_reported_where_no_component_comes_near(hidde
 def test_the_magnitude_is_reported_with_its_interval(hidden):
     change = local_perturbation(hidden(0.5, "A5").perturbation)
     assert change.effect.name == "A5" and change.low < 1.0 < change.high
-    assert f"about {100 * change.value:.0f} % more [{100 * change.low:.0f}, {100 * change.high:.0f}]" in change.in_words
+    low, high = 100 * change.low, 100 * change.high
+    assert f"about {100 * change.value:.0f} % more (95 %: {low:.0f} to {high:.0f})" in change.in_words
 
 
 def test_a_loss_is_reported_as_a_percentage(toy):
     effect = replace(toy().perturbations[0], part="damping of the rear right damper")
-    assert LocalPerturbation(effect, -0.6, -0.72, -0.45).in_words.endswith("about 60 % lost [45, 72]")
+    assert LocalPerturbation(effect, -0.6, -0.72, -0.45).in_words.endswith("about 60 % lost (95 %: 45 to 72)")
 
 
 @pytest.mark.parametrize(
