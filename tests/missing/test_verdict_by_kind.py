@@ -201,7 +201,7 @@ def test_an_unexplained_misfit_is_stated_with_the_place_to_look_at(cases):
     text = text_of(found)
     change = local_perturbation(found.perturbation)
     assert change.effect.name == "A7" and change.low < change.value < change.high
-    size = f"A7, about {change.value:.2g} [{change.low:.2g}, {change.high:.2g}]"
+    size = f"A7, {interval_words(change.value, change.low, change.high, change.effect.magnitude.unit)}"
     assert f"{size}; it fits better than every listed effect" in text
     assert "is not believed" in text and "Look for" not in text
 
