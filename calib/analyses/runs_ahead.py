@@ -9,11 +9,19 @@ from calib.analyses.provenance.places import QUICK_SAMPLES, QUICK_STARTS
 from calib.execution.executor import Injected
 from calib.execution.worker import available_cores
 from calib.results.ledger import Ledger
+from calib.structure.modal_function import ModalFunctionModel
 from calib.study.search_settings import ParetoSettings
 from calib.study.several import AnyStudy
 
 _STEPS = 5
-"""Steps of least squares from one start to its end, in the usual case."""
+"""Steps of least squares on numbers from one start to its end, in the usual case."""
+_FIT = (12, 6)
+"""Runs for modes from one start to its end, and more of them for each parameter: the geometric mean of 24 and 56, which
+the frame in CalculiX takes with its four without and with a stated accuracy."""
+_EXPLAIN = (80, 15)
+"""The same of an explanation from a calibrated model, of 97 and 200."""
+_EFFECT = 25
+"""Runs for a listed effect that is fitted; assumed."""
 _AGREE = 6
 """Starts after which fits usually agree, where a study leaves their number to that."""
 
@@ -67,11 +75,25 @@ def _runs(study: AnyStudy, verb: Verb, quick: bool, front: ParetoSettings | None
     if front is not None:
         runs = tests * front.population * front.generations
         return runs, f"{front.generations} generations of {front.population} at most"
-    step = tests * (1 + 2 * len(study.search_space.free))
+    free = len(study.search_space.free)
     fixed = calibration.method == "gauss-newton"
     starts = QUICK_STARTS if quick else calibration.starts if fixed else _AGREE
     cases = 1 if verb == "explain" or calibration.method == "auto" else len(calibration.cases)
-    runs, why = cases * starts * _STEPS * step, f"{step} for a step of least squares, some {_STEPS} steps from a start"
+    modal = all(isinstance(one.model, ModalFunctionModel) for one in study.studies)
+    if verb == "explain" and modal:
+        listed = max(len(one.candidates) for one in study.studies)
+        effects = listed + _EFFECT * min(listed, settings.explain.refits)
+        runs = tests * (_EXPLAIN[0] + _EXPLAIN[1] * free + effects)
+        return (
+            runs,
+            "fits with changes of single kinds of results, measurement errors and effects; more or fewer by half",
+        )
+    step = tests * (1 + 2 * free)
+    one_start, why = _STEPS * step, f"{step} for a step of least squares, some {_STEPS} steps from a start"
+    if modal:
+        one_start = tests * (_FIT[0] + _FIT[1] * free)
+        why = f"some {one_start} from a start to its end, more or fewer by half"
+    runs = cases * starts * one_start
     if calibration.method == "genetic" and verb == "calibrate":
         searched = cases * tests * calibration.population * calibration.generations
         return runs + searched, f"up to {searched} for the searches, and {why}"
