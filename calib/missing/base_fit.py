@@ -37,7 +37,7 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
         shift = Prior.of(fit_problem.space).rows(there, fit_problem.space.free_names)[0]
         before = float(np.sum(fit_problem.residual(there) ** 2) + shift @ shift)
         found = [fits.candidate_fit((), there)]
-        if only or not _is_better(found[0].fit, before):
+        if only or not _is_lower(found[0].fit, before):
             return found[0]
     whole = 0 if fits.spent(RULES.early) else 1
     begin = nearest_whole(fit_problem, fit_problem.space.values)
@@ -81,7 +81,7 @@ def from_further_points(fits: Refits, base: CandidateFit) -> tuple[CandidateFit,
                 ends.append(None)
                 continue
             ends.append(found.fit)
-            if _is_better(found.fit, base.fit.misfit):
+            if _is_better(found, base):
                 return found, len(ends)
             if Optima.of([base.fit, *ends]).agree:
                 break
@@ -93,10 +93,14 @@ def _better(fits: Refits, base: CandidateFit, start: dict[str, float]) -> Candid
         found = fits.finished(fits.candidate_fit((), start))
     except EvaluationError:
         return base
-    return found if _is_better(found.fit, base.fit.misfit) else base
+    return found if _is_better(found, base) else base
 
 
-def _is_better(found: LinearisedFit, before: float) -> bool:
+def _is_better(found: CandidateFit, base: CandidateFit) -> bool:
+    return _is_lower(found.fit, base.fit.misfit)
+
+
+def _is_lower(found: LinearisedFit, before: float) -> bool:
     """Whether a fit lowers a sum of squares by more than a step that is not taken any more may promise.
 
     And by `DecisionRules.rebased`, or so many times the mean square that was left.

@@ -75,6 +75,7 @@ def restarted(
 def _fitted(fits: Refits, base: CandidateFit, start: _Start, best: dict[str, CandidateFit]) -> None:
     """Fit an effect from a start; the fit replaces an earlier one where its sum of squares is smaller."""
     _, name, values = start
+    fits.announce(f"fitting {fits.by_name[name].title}")
     refit = fits.best_of((name,), [values], base)
     if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
         best[name] = refit

@@ -206,7 +206,7 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ],
     )
     style.separate_cells(ax, rows, columns)
-    style.colour_bar(ax, image, "MAC (–)")
+    style.bar_beside(ax, image, "MAC (–)")
     return ax
 
 

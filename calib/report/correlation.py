@@ -9,7 +9,7 @@ from matplotlib.colors import Normalize
 
 from calib.report.explanation import blank
 from calib.report.numbers import counted, fixed
-from calib.report.style import BLACK, BLUE, GREY, VERMILLION, colour_bar, new_figure, own_axes
+from calib.report.style import BLACK, BLUE, GREY, VERMILLION, bar_beside, new_figure, own_axes
 from calib.report.svg import hover, hover_cells
 
 POSTERIOR = "posterior correlation ρ (–)"
@@ -147,7 +147,7 @@ def _draw_matrix(table: pd.DataFrame, ax: Axes | None, label: str) -> Axes:
     ax.set(xlim=(-0.5, count - 1.5), ylim=(count - 1.5, -0.5))
     ax.tick_params(length=0)
     ax.spines[:].set_visible(False)
-    colour_bar(ax, image, label, aspect=25)
+    bar_beside(ax, image, label, aspect=25)
     return ax
 
 

@@ -265,7 +265,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
     ax.set_xlabel(note + ("; γ: share that the parameters cannot explain" if known else ""))
     label = "correlation ρ of the change patterns (–)"
-    style.colour_bar(ax, image, label)
+    style.bar_beside(ax, image, label)
     return ax
 
 

@@ -227,5 +227,5 @@ def draw_frf_misfit(table: pd.DataFrame, ax: Axes | None = None, *, name: str = 
     style.separate_cells(ax, *values.shape)
     ax.set_xlabel("first line of the band (Hz)")
     ax.set_title(style.added(stage, name).replace(": ", ":\n"))
-    style.colour_bar(ax, image, "rms residual (standard deviations)")
+    style.bar_beside(ax, image, "rms residual (standard deviations)")
     return ax

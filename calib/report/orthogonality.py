@@ -14,7 +14,7 @@ from calib.report.numbers import fixed
 from calib.report.style import (
     GREY,
     VERMILLION,
-    colour_bar,
+    bar_beside,
     legend_above,
     matrix_height,
     new_figure,
@@ -88,7 +88,7 @@ def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
         axes[1].set_ylabel("")
     for ax, letter, what in zip(axes, "ab", ("to the model", "among themselves"), strict=True):
         ax.set_title(f"({letter}) {what}")
-    colour_bar(axes, axes[0].images[0], _LABEL)
+    bar_beside(axes, axes[0].images[0], _LABEL)
     figure.legend(handles=[_frame()], loc="outside lower right")
     return figure
 
@@ -124,7 +124,7 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
     ]
     hover_cells(ax, words)
     if key:
-        colour_bar(ax, image, _LABEL)
+        bar_beside(ax, image, _LABEL)
         legend_above(ax, [_frame()])
     return ax
 

@@ -21,7 +21,7 @@ from calib.report.style import (
     GREY,
     ORANGE,
     SKY,
-    colour_bar,
+    bar_beside,
     in_column,
     legend_above,
     matrix_height,
@@ -116,7 +116,7 @@ def draw_sensitivity(
         blank += ";\nin brackets: lent by other parameters, through a constraint or prior"
     modal = any(r.startswith(prefix) for r in responses for prefix in RESPONSE_KINDS if prefix.endswith(_OF_MODES))
     ax.set_xlabel(f"{'response of mode' if modal else 'response'} ({blank})")
-    colour_bar(ax, image, label)
+    bar_beside(ax, image, label)
     return ax
 
 

@@ -212,7 +212,7 @@ def in_column() -> bool:
     return _width.get() <= COLUMN
 
 
-def colour_bar(axes: Any, image: ScalarMappable, label: str, aspect: int = 40) -> None:
+def bar_beside(axes: Any, image: ScalarMappable, label: str, aspect: int = 40) -> None:
     """Add a colour bar at the right of one or several Axes; in a column, which is narrow, below them."""
     figure, place = np.ravel(axes)[0].figure, "bottom" if in_column() else "right"
     figure.colorbar(image, ax=axes, label=label, fraction=0.04, pad=0.02, aspect=aspect, location=place)

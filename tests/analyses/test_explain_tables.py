@@ -185,7 +185,8 @@ def test_leave_one_out_gains_are_those_of_the_two_models(guyed):
 def test_local_perturbations_are_written_with_their_locations(guyed, chain):
     study, results, answer, _ = guyed
     table = saved(results, "perturbations")
-    assert list(table.columns) == ["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed", "limit"]
+    columns = ["perturbation", "kind", "x", "y", "z", "sensor", "score", "unabsorbed", "limit", "told"]
+    assert list(table.columns) == columns
     places = {s.name: s.point for s in study.measured.sensors}
     for row in table[table["sensor"].notna()].to_dict("records"):
         assert (row["x"], row["y"], row["z"]) == places[row["sensor"]] and row["sensor"] in row["perturbation"]

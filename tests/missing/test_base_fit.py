@@ -8,7 +8,7 @@ import pytest
 from calib.execution.stage import silent
 from calib.missing import decision
 from calib.missing.adequacy import adequacy_of, overstated
-from calib.missing.base_fit import _is_better, calibrated, fitted_base, from_further_points, nested
+from calib.missing.base_fit import _is_better, fitted_base, from_further_points, nested
 from calib.missing.decision import decide
 from calib.missing.goodness import goodness
 from calib.missing.refits import Refits
@@ -76,7 +76,7 @@ def test_from_a_larger_model_the_base_model_reaches_what_it_contains(trapped):
 
 @pytest.mark.parametrize(("mean_square", "least"), [(0.5, 1.0), (1.0, 1.0), (400.0, 400.0)])
 def test_a_base_fit_is_better_by_one_or_by_the_mean_square_that_is_left(trapped, mean_square, least):
-    base = calibrated(of(trapped), None)
+    base = fitted_base(of(trapped), None)
     square = mean_square * len(trapped.rows)
 
     def leaving(misfit):

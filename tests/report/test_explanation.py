@@ -237,7 +237,8 @@ TABLES = {
     "mesh_points": "point,x,y,z\n1,0,0,0\n2,4,1,2\n",
     "mesh_elements": "group,a,b,c,d\nframe,1,2,,\n",
     "sensor_misfit": "stage,mode,sensor,node,direction,x,y,z,re,im\nbase,1BT,1y,1,y,0,0,0,1.5,nan\n",
-    "perturbations": "perturbation,kind,x,y,z,sensor,score,unabsorbed,limit\nspring 1,stiffness,0,0,0,,-8,0.5,2.6\n",
+    "perturbations": "perturbation,kind,x,y,z,sensor,score,unabsorbed,limit,told\n"
+    "spring 1,stiffness,0,0,0,,-8,0.5,2.6,True\n",
     "pulls": "model,parameter,unit,nominal,value,prior_sd,standardised,limit,pulled\nbase,K,,1,1.2,0.1,2.8,2.5,True\n",
     "confounding": "effect,arb\narb,1.0\n",
     "errors": "group,stage,rms,expected,p\nfit,before,4.4,1.0,0.0\nfit,after,0.9,1.0,\n",

@@ -15,7 +15,7 @@ from calib.errors.errors import InputError
 from calib.measurement.files.csv_format import VALUE_LIMIT
 from calib.measurement.files.frf_columns import channel_of
 from calib.measurement.files.uff_blocks import Dataset, extract_sets, read_blocks
-from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz, motion_axis
+from calib.measurement.files.uff_labels import MOTIONS, Axis, force_axis, hertz_each, motion_axis
 from calib.measurement.files.uff_nodes import Nodes, length_factor, nodes_of
 from calib.measurement.files.uff_sets import pyuff_faults
 from calib.measurement.frf import NO_PHASE, Quantity
@@ -261,7 +261,7 @@ def _checked(path: Path, data: Mapping[str, Any], stated: Quantity | None, notes
         held = f"{np.size(data['data'])} values" if np.size(data["data"]) != count else f"{len(freq)} frequencies"
         raise InputError(f"it has {held}, but announces {count}", place=where, remedy="export it again")
     quantity = _quantity(where, data, stated, notes) if data["func_type"] == _FRF else "receptance"
-    return _Dataset(where, key, sign, freq * hertz(data), data, quantity)
+    return _Dataset(where, key, sign, freq * hertz_each(data), data, quantity)
 
 
 def _values(

@@ -101,7 +101,7 @@ def force_unit(data: Mapping[str, Any]) -> float | None:
     return FORCES.get(_bare(_entries(data, "ordinate")[2]).removesuffix("m"))
 
 
-def hertz(data: Mapping[str, Any]) -> float:
+def hertz_each(data: Mapping[str, Any]) -> float:
     """Hz for each unit of the abscissa by its label; 1 where that says nothing."""
     _, _, unit = _entries(data, "abscissa")
     return _PER_SECOND.get(unit.lower().replace(" ", ""), 1.0)
