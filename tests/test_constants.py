@@ -79,7 +79,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "analyses/least_squares.py": "_OPTIMA",
     "correlation/basis.py": "WORTHWHILE_DOFS WORTHWHILE_MODES",
     "experiment/modal.py": "_MANY",
-    "problem/differences.py": "ONE_SIDED STEP",
+    "problem/differences.py": "STEP",
     "correlation/modal/problem.py": "DAMPING_MAX",
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
     "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH "

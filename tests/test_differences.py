@@ -129,14 +129,14 @@ def test_a_one_sided_difference_takes_one_point_and_the_other_end_only_where_tha
         return np.array([values["p0"] ** 2, math.nan if values["p0"] > 2.0 else values["p0"]])
 
     slope = difference(curve, {"p0": 1.0}, p, 1e-3, one_sided=True)
-    np.testing.assert_allclose(slope, [2.0 + 8e-3, 1.0])  # twice the step of 1e-3 of the range
-    assert asked == [1.008, 1.0]
-    for value, ends in ((4.0, []), (3.0, [3.008, 2.992]), (2.0, [2.008, 1.992])):
+    np.testing.assert_allclose(slope, [2.0 + 4e-3, 1.0])  # a step of 1e-3 of the range
+    assert asked == [1.004, 1.0]
+    for value, ends in ((4.0, []), (3.0, [3.004, 2.996]), (2.0, [2.004, 1.996])):
         asked.clear()
         if not ends:  # at a limit it goes the other way
             with pytest.raises(EvaluationError, match="too far"):
                 difference(curve, {"p0": value}, p, 1e-3, one_sided=True)
-            assert asked == [3.992]
+            assert asked == [3.996]
             continue
         np.testing.assert_allclose(difference(curve, {"p0": value}, p, 1e-3, one_sided=True)[0], 2 * value, rtol=2e-3)
         assert asked[:2] == pytest.approx(ends)

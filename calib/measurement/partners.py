@@ -98,7 +98,7 @@ class NodePartners:
         beyond = self.table[self.table["distance"] > self.table["limit"]]
         if not len(beyond) and not self.unit:
             return self
-        remedy = "correct the coordinates, or state a larger limit in m (node_limit, --node-limit)"
+        remedy = "correct the coordinates, or state a larger limit in m (node_limit under [measurement], --node-limit)"
         if self.unit:
             remedy = f"it looks like {self.unit}: give both in m, or state length_unit (--length-unit) of the file"
         if not len(beyond):

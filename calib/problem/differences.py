@@ -13,8 +13,6 @@ from calib.problem.space import Parameter, ParameterSpace
 
 STEP = 1e-4
 """Half step of a central difference, over the range of a parameter."""
-ONE_SIDED = 2.0
-"""Times this step of a one-sided difference: rounding has as much effect on both."""
 
 
 def central_jacobian(
@@ -61,7 +59,7 @@ def _ends(values: Mapping[str, float], p: Parameter, step: float, one_sided: boo
     if p.integer or p.lower == p.upper:
         return []
     middle = values[p.name]
-    half = step * (ONE_SIDED if one_sided else 1.0) * p.span_at(middle)
+    half = step * p.span_at(middle)
     ends = [end for end in (min(middle + half, p.upper), max(middle - half, p.lower)) if end != middle]
     return sorted(ends, key=lambda end: -abs(end - middle)) if one_sided else ends
 

@@ -93,8 +93,8 @@ class ModalFunctionModel(Short):
     step : float
         Half step of a difference, over the range between the limits; raise it for a solver with numerical noise.
     one_sided : bool
-        Whether a derivative takes one call for each parameter, as for a costly solver that rounds its results: the step
-        is then twice as long, with an error in proportion to it and no more effect of rounding.
+        Whether a derivative takes one call for each parameter, as for a costly solver that rounds its results: its
+        error is in proportion to the step.
     assumptions : tuple of Assumption
     sensor_tolerance : float, optional
         Largest distance of a measured node from a declared one, as in `calib.StructuralModel`.

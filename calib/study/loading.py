@@ -110,6 +110,7 @@ class Sources:
                 place = self.place("model", "parameters", name)
                 raise InputError(fault.problem, place=place, remedy=fault.remedy) from None
         options = given.model_dump(exclude={"parameters", "sensors"})
+        options["node_limit"] = self.settings.measurement.node_limit
         try:
             return solver_model(
                 parameters=parameters, sensors=given.sensors or self.sensors(), folder=self.folder,

@@ -10,8 +10,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
-import numpy as np
-
 from calib.errors.arguments import names, objects
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
@@ -67,8 +65,8 @@ class Solver:
     damped : bool
     units : str
         Unit system of coordinates and matrices.
-    time_limit : float or None
-        Seconds.
+    time_limit, node_limit : float or None
+        Seconds; largest distance of a sensor's node from one of the solver, m.
     folder : Path
         Folders of failed runs are kept below it.
     """
@@ -86,6 +84,7 @@ class Solver:
     damped: bool = False
     units: str = "m-kg-N"
     time_limit: float | None = None
+    node_limit: float | None = None
     folder: Path = Path()
 
     is_transparent: ClassVar[bool] = True
@@ -122,9 +121,7 @@ class Solver:
         program = own.read_bytes() if is_beside(self.command[0]) and own.is_file() else self.command[0]
         at = [(s.node, s.direction, s.point) for s in self.sensors]
         integers = [p.name for p in self.space.parameters if p.integer]
-        return digest_of(
-            "solver 2", program, self.command[1:], dict(self.decks), content, reads, at, integers
-        )[:16]  # fmt: skip
+        return digest_of("solver 2", program, self.command[1:], dict(self.decks), content, reads, at, integers)[:16]
 
     def write(self, folder: Path, values: Mapping[str, float], matrices: bool = False) -> None:
         """Write the decks with the values, and copy the other files."""
@@ -177,7 +174,7 @@ class Solver:
     def _modes(self, folder: Path) -> dict[str, Any]:
         found = self.computed_modes(folder)
         shapes = found.shapes[self._rows(found)]
-        shapes = shapes if np.any(shapes.imag) else shapes.real
+        shapes = shapes if shapes.imag.any() else shapes.real
         damping = {"damping_ratio": found.damping_ratio} if self.damped else {}
         return {"natural_freq": found.natural_freq, "shapes": shapes, **damping}
 
@@ -187,7 +184,7 @@ class Solver:
         places = {s.node: s.point for s in found.sensors if s.point is not None}
         of: Mapping[int, int] = {}
         if len(points) == len({s.node for s in self.sensors}) and len(places) == len({s.node for s in found.sensors}):
-            of = node_partners(points, places).require(self.modes).of
+            of = node_partners(points, places, self.node_limit).require(self.modes).of
         rows = {(s.node, s.direction): k for k, s in enumerate(found.sensors)}
         out = []
         for sensor in self.sensors:
@@ -228,9 +225,8 @@ class Solver:
             for item in folder.iterdir():
                 if item.name != LOCK:
                     shutil.move(item, own / item.name)
-            (own / "values.csv").write_text(
-                "\n".join(["parameter,value", *(f"{n},{float(v)!r}" for n, v in values.items())])
-            )
+            rows = ["parameter,value", *(f"{n},{float(v)!r}" for n, v in values.items())]
+            (own / "values.csv").write_text("\n".join(rows))
             return True
         return False
 
@@ -273,6 +269,7 @@ def solver_model(
     damped: bool = False,
     step: float = STEP,
     time_limit: float | None = None,
+    node_limit: float | None = None,
     folder: str | Path = ".",
     name: str = "",
 ) -> ModalFunctionModel | FunctionModel:
@@ -312,8 +309,8 @@ def solver_model(
         Whether their damping ratios are compared.
     step : float
         Half step of a difference, over the range of a parameter; see `calib.ModalFunctionModel`.
-    time_limit : float, optional
-        Seconds of a run.
+    time_limit, node_limit : float, optional
+        Seconds of a run; largest distance of a sensor's node from one of the solver, m, by default from the mesh.
     folder : path
         Paths are relative to it.
     name : str
@@ -356,7 +353,7 @@ def solver_model(
     solver = Solver(
         words, _decks(_found(template, home, f"{place}, template"), space), copied, space, modes=modes, shapes=shapes,
         responses=responses, matrices=(matrices,) if isinstance(matrices, str) else tuple(matrices),
-        coordinates=coordinates, damped=damped, units=units, time_limit=time_limit, folder=home,
+        coordinates=coordinates, damped=damped, units=units, time_limit=time_limit, node_limit=node_limit, folder=home,
     )  # fmt: skip
     label = name or Path(words[0]).name
     if responses:
@@ -366,7 +363,9 @@ def solver_model(
             "there are no motions by which its modes are followed", place=place,
             remedy='measure shapes, or name nodes of the deck: sensors = ["12z", "30z"]',
         )  # fmt: skip
-    model = ModalFunctionModel(label, space, solver, tuple(sensors), n_modes, damped, step, one_sided=True)
+    model = ModalFunctionModel(
+        label, space, solver, tuple(sensors), n_modes, damped, step, sensor_tolerance=node_limit, one_sided=True
+    )
     known = replace(solver, sensors=model.sensors)
     return replace(model, function=known, identity=known.identity)
 

@@ -82,6 +82,11 @@ def test_sensors_are_found_by_place(tmp_path):
     off = [calib.Sensor(9, "z", (0.0, 0.0, 4.0)), at[1]]
     with pytest.raises(InputError, match="off the model"):
         solver(tmp_path, table, sensors=off, coordinates="places.csv").modes({}, 2)
+    near = solver(tmp_path, table, sensors=off, coordinates="places.csv", node_limit=3.5)
+    np.testing.assert_array_equal(near.modes({}, 2).shapes, placed.shapes)
+    text = STUDY.replace("[measurement]", "[measurement]\nnode_limit = 3.5")
+    loaded = LoadedStudy.load(study(tmp_path, text=text))
+    assert loaded.model.function.node_limit == 3.5 == loaded.model.sensor_tolerance
 
 
 def test_a_motion_that_the_code_does_not_print_is_named(tmp_path):
@@ -335,13 +340,13 @@ def test_what_a_solver_will_be_started_for_is_told(tmp_path):
     loaded = LoadedStudy.load(study(tmp_path))
     with Ledger.in_memory() as ledger:
         told = runs_ahead(loaded, ledger, "calibrate", 1)
-        assert "about 48 times" in told and "not known" in told  # 2 starts of 12 + 2 x 6 runs
+        assert "about 42 times" in told and "not known" in told  # 2 starts of 9 + 2 x 6 runs
         values = loaded.model.space.complete({})
         outcome = Outcome(values, "ok", {"natural_freq 1": 1.0}, seconds=6.0)
         ledger.append(loaded.problem.ledger_key, [outcome])
-        assert "4.8 min" in runs_ahead(loaded, ledger, "calibrate", 1)
+        assert "4.2 min" in runs_ahead(loaded, ledger, "calibrate", 1)
         explained = runs_ahead(loaded, ledger, "explain", 2)
-        assert "about 110 times" in explained and "5.5 min with 2 at once" in explained
+        assert "about 68 times" in explained and "3.4 min with 2 at once" in explained
         assert "500 samples" in runs_ahead(loaded, ledger, "sensitivity", 1)
         front = ParetoSettings(population=10, generations=7)
         assert "about 70 times: 7 generations of 10" in runs_ahead(loaded, ledger, "pareto", 1, front=front)

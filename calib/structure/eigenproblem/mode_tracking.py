@@ -166,7 +166,7 @@ def followed_derivatives(
     step : float
         Half step of a difference, over the range between the limits.
     one_sided : bool
-        Whether one end of each is evaluated, twice as far away.
+        Whether one end of each is evaluated.
 
     Raises
     ------
