@@ -96,14 +96,33 @@ def _smt(known: Known, points: pd.DataFrame, response: pd.DataFrame) -> Callable
     return lambda z: np.asarray(model.predict_values(z))[:, 0]
 
 
+NORMS = (0.6, 1.0)
+"""Of the hyperbolic sets of polynomials that OpenTURNS chooses from, by its leave-one-out error."""
+TERMS, DEGREE = 500, 14
+"""Largest number of polynomials in a set, and largest degree."""
+
+
 def _openturns(known: Known, points: pd.DataFrame, response: pd.DataFrame) -> Callable[[np.ndarray], np.ndarray]:
     import openturns as ot
 
-    inputs = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * points.shape[1])
-    chaos = ot.FunctionalChaosAlgorithm(ot.Sample(points.to_numpy()), ot.Sample(response.to_numpy()), inputs)
-    chaos.run()
-    found = chaos.getResult().getMetaModel()
-    return lambda z: np.asarray(found(ot.Sample(z)))[:, 0]
+    ot.ResourceMap.SetAsBool("FunctionalChaosValidation-ModelSelection", True)  # else refused for a sparse one
+    count = points.shape[1]
+    inputs = ot.JointDistribution([ot.Uniform(-1.0, 1.0)] * count)
+    chooses = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
+    found = []
+    for norm in NORMS:
+        numbered = ot.HyperbolicAnisotropicEnumerateFunction(count, norm)
+        sizes = [numbered.getBasisSizeFromTotalDegree(degree) for degree in range(1, DEGREE + 1)]
+        basis = ot.OrthogonalProductPolynomialFactory([ot.LegendreFactory()] * count, numbered)
+        chaos = ot.FunctionalChaosAlgorithm(
+            ot.Sample(points.to_numpy()), ot.Sample(response.to_numpy()), inputs,
+            ot.FixedStrategy(basis, max(size for size in sizes if size <= TERMS)), ot.LeastSquaresStrategy(chooses),
+        )  # fmt: skip
+        chaos.run()
+        result = chaos.getResult()
+        found.append((ot.FunctionalChaosValidation(result).computeR2Score()[0], result.getMetaModel()))
+    best = max(found, key=lambda one: float(one[0]))[1]
+    return lambda z: np.asarray(best(ot.Sample(z)))[:, 0]
 
 
 CODES: dict[str, Build] = {"calib": _calib, "smt (kriging)": _smt, "openturns (polynomial chaos)": _openturns}
