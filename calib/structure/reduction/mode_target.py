@@ -24,6 +24,8 @@ REFINED = 0.01
 """Accuracy of refined modes, over the tolerance."""
 _DIRECTIONS = 2
 """Most directions in which parameters move modes, over the number of modes and parameters together."""
+_KEPT = 2
+"""The same before the motions by all parameters are known, over those in the end."""
 
 
 @dataclass(frozen=True)
@@ -115,17 +117,23 @@ class ModeTarget:
         kept = modes.subset(np.flatnonzero(modes.natural_freq <= _NEAR * self.freq_max))
         lam, shapes = eigenvalues(kept), kept.shapes
         size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), energy @ shapes).real)
-        width = shapes.shape[1] * (2 if kept.is_complex else 1)
-        moves = np.empty((model.n_dof, width * len(names)))
-        for k, (name, change) in enumerate(self.moved):
+        most = _DIRECTIONS * (kept.n_modes + len(names))
+        moves = [np.zeros((model.n_dof, 0))]
+        for name, change in self.moved:
             dk, dc, dm = model.matrix_derivatives(point, name)
             force = dk @ shapes + (lam**2).real * (dm @ shapes)
             if kept.is_complex:
                 force = force + lam * (dc @ shapes) + 1j * (lam**2).imag * (dm @ shapes)
-            force = force * (change / size)
-            moves[:, k * width : (k + 1) * width] = static(real_columns(force))
-        energies, turn = la.eigh(products(energy, moves)) if moves.shape[1] else (np.zeros(0), np.zeros((0, 0)))
-        most = _DIRECTIONS * (kept.n_modes + len(names))
+            moves.append(static(real_columns(force * (change / size))))
+            if sum(part.shape[1] for part in moves) > 2 * _KEPT * most:  # not all are in memory together
+                moves = [self._principal(energy, np.hstack(moves), _KEPT * most)]
+        return self._principal(energy, np.hstack(moves), most)
+
+    def _principal(self, energy: sp.csc_array, moves: np.ndarray, most: int) -> np.ndarray:
+        """Principal directions of motions (n_dof, m), at most so many, scaled by how far these go along them."""
+        if not moves.shape[1]:
+            return moves
+        energies, turn = la.eigh(products(energy, moves))
         first = max(len(energies) - most, int(np.count_nonzero(energies < self.tolerance)))
         return np.asarray(moves @ turn[:, first:])
 
