@@ -89,7 +89,7 @@ class OneTest(ABC):
             names = (*variants.model.space.names, *(p.name for effect in own for p in effect.parameters))
             values = {name: one.fit.values[name] for name in names if name in one.fit.values}
             asked[(one.names if own else (), *values.values())] = own, values
-        basis = covering_fits(variants.model, variants.basis, asked.values())
+        basis = covering_fits(variants.reduced, asked.values())
         if basis is variants.basis:
             return self
         return replace(self, hypotheses=replace(self.hypotheses, variants=replace(variants, basis=basis)))

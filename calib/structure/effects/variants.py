@@ -98,4 +98,10 @@ class Variants:
         without_dofs = [*(e for e in self.effects if not self._added[e.name]), *self.perturbations]
         if self.basis is None:
             return extend(self.model, without_dofs)
-        return ReducedModel(self.model, self.basis).extended(without_dofs)
+        return self.reduced.extended(without_dofs)
+
+    @cached_property
+    def reduced(self) -> ReducedModel:
+        """The base model on its basis, which there must be."""
+        assert self.basis is not None
+        return ReducedModel(self.model, self.basis)

@@ -113,17 +113,17 @@ def effect_basis(
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
-def covering_fits(
-    model: StructuralModel, basis: Basis, fits: Iterable[tuple[Sequence[Effect], Mapping[str, float]]]
-) -> Basis:
-    """The same basis, or the next version, which meets its tolerance also with given effects at given values each.
+def covering_fits(reduced: ReducedModel, fits: Iterable[tuple[Sequence[Effect], Mapping[str, float]]]) -> Basis:
+    """The basis of a model, or the next version, which meets its tolerance also with given effects at given values.
 
     Where the error indicator exceeds it, what the modes there lack is added. A point that cannot be solved is left out.
     """
+    model, basis, inner = reduced.model, reduced.basis, reduced
     growth, vectors = Growth(model, basis), basis.vectors
     for effects, values in fits:
-        inner = ReducedModel(model, replace(basis, vectors=vectors), factor=growth.factor)
-        known = inner.extended(effects) if effects else inner
+        wider = extend(model, effects) if effects else model
+        carried = inner.basis.carried(wider.space, wider.n_dof) if effects else inner.basis
+        known = ReducedModel(wider, carried, inner, growth.factor if wider.n_dof == model.n_dof else None)
         with contextlib.suppress(EvaluationError):
             modes = known.modes(values, known.n_modes)
             counts = (modes.natural_freq <= basis.freq_max) & (modes.damping_ratio < basis.damping_max)
@@ -131,6 +131,7 @@ def covering_fits(
                 accuracy = REFINED * basis.tolerance
                 solved = modes_near(known, values, known.n_modes, accuracy)
                 vectors = growth.widened(vectors, _unit(growth, solved, model.n_dof, basis), accuracy)
+                inner = ReducedModel(model, replace(basis, vectors=vectors))
     grown = vectors.shape[1] > basis.size
     return replace(basis, vectors=vectors, version=basis.version + 1) if grown else basis
 
