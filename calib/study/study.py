@@ -120,10 +120,11 @@ class LoadedStudy(StudyFile):
         """Standard deviations of the held parameters whose values are uncertain.
 
         These are adopted ones, as an earlier study left them, and those that a selection leaves out, by their priors.
-        Integers count as exact: they have no derivative.
+        Integers count as exact: they have no derivative. Those that an explanation fits along are not held.
         """
+        fitted = self.search_space.free_names
         adopted = {name: sd for name, sd in self.adopted_sd.items() if sd > 0}
-        left_out = (self.model.space[name] for name in self.unselected if name not in adopted)
+        left_out = (self.model.space[name] for name in self.unselected if name not in (*adopted, *fitted))
         return adopted | {p.name: p.prior_width for p in left_out if not p.integer and p.lower < p.upper}
 
     def measurement(self) -> Measured:

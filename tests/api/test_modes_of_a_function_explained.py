@@ -125,7 +125,7 @@ def test_points_at_which_an_effect_fails_are_told():
     why = problem.explain([prop, replace(mass, build=build)])
     assert [e.name for e in why.named] == ["prop"]
     told = why.explanation
-    assert told.figures["failed"] == 2 and any("no convergence with it" in trace for trace in told.traces)
+    assert told.figures["failed"] >= 2 and any("no convergence with it" in trace for trace in told.traces)
     row = told.effects.set_index("name").loc["m_mid"]
     assert not row["visible"] and np.isnan(row["z"]) and "fails" in row["implausible"]
 

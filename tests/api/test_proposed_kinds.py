@@ -36,9 +36,9 @@ def test_a_loss_of_stiffness_far_beyond_one_step_is_not_told_as_damping(softened
 def test_a_change_beyond_the_plausible_size_is_fitted_from_there_too(softened, monkeypatch):
     seen, best_of = {}, Refits.best_of
 
-    def watched(fits, names, starts, parent):
+    def watched(fits, names, starts, parent, *more):
         seen[names[-1]] = [start[names[-1]] for start in starts]
-        return best_of(fits, names, starts, parent)
+        return best_of(fits, names, starts, parent, *more)
 
     monkeypatch.setattr(Refits, "best_of", watched)
     softened.propose()
@@ -85,10 +85,10 @@ def test_a_mount_whose_mode_the_model_lacks_is_told(softened):
 def test_what_cannot_be_solved_is_told(softened, monkeypatch):
     best_of = Refits.best_of
 
-    def failing(fits, names, starts, parent):
+    def failing(fits, names, starts, parent, *more):
         if "stiffness_storey_3" in names:
             raise EvaluationError("no convergence")
-        return best_of(fits, names, starts, parent)
+        return best_of(fits, names, starts, parent, *more)
 
     monkeypatch.setattr(Refits, "best_of", failing)
     proposed = softened.propose()
