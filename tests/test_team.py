@@ -301,7 +301,7 @@ def test_more_tasks_than_the_board_has_places(two, module, monkeypatch):
     monkeypatch.setattr(team, "_MOST", 8)
     told = []
     assert two(module.fails, (), range(20), told.append) == list(range(20))
-    assert sorted(told) == told and told[-1] < 20
+    assert sorted(told) == told and all(0 <= number < 20 for number in told)  # the other process may take them all
 
 
 @pytest.mark.medium
