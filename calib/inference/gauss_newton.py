@@ -52,8 +52,9 @@ class FitSettings:
     evaluations : float
         Number of residuals after which no further step is tried.
     costly : float
-        Times ``gain`` and ``noise`` where each derivative costs evaluations; the fit has converged, too, when ``noise``
-        times the sum of squares is all that a step promises, or lowers it by from derivatives that were evaluated.
+        Factor of ``gain`` and ``noise`` where each derivative costs evaluations. Such a fit has converged, too, when a
+        step promises no more than ``noise`` times the sum of squares, or when a step from evaluated derivatives lowers
+        it by no more.
     evaluated_end : bool
         Whether derivatives are evaluated at the end where they were updated: standard deviations need that, a ranking
         does not.
@@ -78,9 +79,9 @@ _SAME = 0.1
 """Part of a step that failed by which another must differ to be worth an evaluation."""
 
 _COSTLY = 100.0
-"""Times the noise up to which few failures end a fit where each derivative costs evaluations."""
+"""Factor of the noise below which few failures end a fit where each derivative costs evaluations; assumed."""
 _HERE = 1e-3
-"""Part of the range within which derivatives hold: so short a step says more about rounding than about them."""
+"""Part of the range; a shorter step says more about the rounding of a solver than about derivatives (assumed)."""
 
 Step = Callable[[float], None]
 
@@ -193,7 +194,7 @@ def fit(
     step : callable
         Called before every step with the share of the way to convergence that is behind.
     slope : ndarray (n_rows, n_params), optional
-        About the Jacobian at the start, such as that of a model with one effect less: where derivatives cost
+        An estimate of the Jacobian at the start, such as that of a model with one effect less: where derivatives cost
         evaluations the fit begins with it.
 
     Raises

@@ -20,6 +20,7 @@ from calib.missing.linearised_fit import FINE, LinearisedFit, least_squares_fit
 from calib.missing.rules import RULES
 
 _UPDATED = replace(FINE, evaluated_end=False)
+"""Of fits whose sum of squares alone is compared."""
 TABLE = "accuracy_by_kind"
 COLUMNS = ("frequency", "shape", "damping", "p_fit", "missing")
 GRIDS = {

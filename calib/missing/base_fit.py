@@ -22,16 +22,17 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
     """The base model, fitted from a start, or from the nominal values and from a linear solution, if any.
 
     A start that is an optimum, such as the fit of a calibration, is the base fit: its search is not repeated, and its
-    integers stay. Where derivatives cost evaluations it is taken as it is. Where it rests in a valley, `nested` and
-    `from_further_points` lead out of it. Else the best of all counts, from the nominal values with the most promising
-    integers; ``only`` leaves these out.
+    integers stay. Where derivatives cost evaluations no step is tried from it that promises nothing. Where it rests in
+    a valley, `nested` and `from_further_points` lead out of it. Else the best of all counts, from the nominal values
+    with the most promising integers; ``only`` leaves these out.
     """
     fits.announce("calibrating the base model")
     fit_problem = fits.fit_problem(())
     found = []
     if start is not None and fits.by_differences and not only:
         known = fits.candidate_fit((), {**fit_problem.space.values, **start}, settings=replace(FINE, iterations=0))
-        return replace(known, fit=replace(known.fit, converged=True))
+        if known.fit.converged:  # not so where what is uncertain is fitted along
+            return known
     if start is not None:
         there = {**fit_problem.space.values, **start}
         shift = Prior.of(fit_problem.space).rows(there, fit_problem.space.free_names)[0]

@@ -202,7 +202,7 @@ def followed_derivatives(
 
 
 class Moved(NamedTuple):
-    """What a parameter does that moves another one in one kind of results only.
+    """A parameter that changes another one in one kind of results only.
 
     Attributes
     ----------
@@ -219,15 +219,18 @@ class Moved(NamedTuple):
 
 
 def of_kinds(found: ModeDerivatives, modes: Modes, names: Sequence[str], moved: Mapping[str, Moved]) -> ModeDerivatives:
-    """Derivatives by some parameters from those of `found`, of which each may act on one kind of results only.
+    """Derivatives by parameters that act on one kind of results only, from those by the parameters that act on all.
 
     Parameters
     ----------
     found : ModeDerivatives
+        By the parameters that act on all kinds, (n_params, n_modes) and for shapes (n_params, n_rows, n_modes).
     modes : Modes
-        Those that it is of, in its order.
+        The n_modes modes of ``found``, in its order.
     names : sequence of str
+        Parameters of the result; each is one of ``found`` or a key of ``moved``.
     moved : mapping from str to Moved
+        What each parameter of one kind moves.
     """
     row = [found.names.index(moved[name].parameter if name in moved else name) for name in names]
     kinds = [moved[name].kind if name in moved else "" for name in names]
