@@ -35,9 +35,9 @@ from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.least_squares import FitProgress, Shared, criteria, ended, fitted_at_full_order
 from calib.analyses.provenance.places import QUICK_GENERATIONS, QUICK_POPULATION, Workers, open_evaluator, tasks_shared
 from calib.analyses.provenance.stored import confirm
-from calib.analyses.reduction import Reduction, reduction_near, reduction_of
+from calib.analyses.reduction import Reduction, reduction_near, reduction_noted
 from calib.correlation.modal.problem import ModalProblem
-from calib.errors.errors import EvaluationError, InputError, ToleranceError
+from calib.errors.errors import EvaluationError, InputError
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Outcome, named_responses, point_key
 from calib.execution.stage import Progress, silent, with_prefix
@@ -388,18 +388,6 @@ def near_of(study: AnyStudy, reductions: Mapping[str, Reduction]) -> Near | None
 def _own(one: LoadedStudy, study: AnyStudy, points: Starts) -> Starts:
     """The values of one of several tests at some points."""
     return [own_values(one, point) for point in points] if len(study.studies) > 1 else points
-
-
-def reduction_noted(
-    study: LoadedStudy, home: Results | None, notes: list[str], progress: Progress = silent
-) -> Reduction | None:
-    """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
-    try:
-        return reduction_of(study, home, progress)
-    except ToleranceError as fault:
-        words = f"Searched at full order: {fault.problem}."
-        notes.extend([] if words in notes else [words])
-        return None
 
 
 def _as_it_is(outcome: Outcome) -> Outcome:

@@ -10,12 +10,12 @@ from dataclasses import dataclass, field
 import numpy as np
 import pandas as pd
 
-from calib.analyses.case import reduction_noted
 from calib.analyses.fit_statistics import FitProblem, ObjectiveTerms, fit_problem, statistics_at
 from calib.analyses.provenance.places import Workers, tasks_shared
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.state import INTERVALS, ROBUSTNESS, SAMPLES
+from calib.analyses.reduction import reduction_noted
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent

@@ -231,6 +231,18 @@ def point_near(study: LoadedStudy, values: Mapping[str, float]) -> dict[str, flo
     return space.complete({name: v for name, v in there.items() if name in space and name not in study.condition})
 
 
+def reduction_noted(
+    study: LoadedStudy, home: Results | None, notes: list[str], progress: Progress = silent
+) -> Reduction | None:
+    """The reduced basis of a study's search; None where it misses its tolerance, which is added to the notes."""
+    try:
+        return reduction_of(study, home, progress)
+    except ToleranceError as fault:
+        words = f"Searched at full order: {fault.problem}."
+        notes.extend([] if words in notes else [words])
+        return None
+
+
 def reduction_near(study: LoadedStudy, begin: Mapping[str, float] = MappingProxyType({})) -> Reduction | None:
     """A basis about given values, or the nominal ones, for least squares; None where full order is fast enough.
 

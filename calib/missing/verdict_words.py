@@ -39,10 +39,7 @@ WORST = "the worst kind of data or mode shape"
 
 @dataclass(frozen=True)
 class VerdictWords:
-    """What one kind of verdict says; ``then`` is what to do before anything is measured.
-
-    ``sure`` is told in short, ``support`` in full.
-    """
+    """What one kind of verdict says, ``sure`` in short and ``support`` in full; ``then`` is to do before measuring."""
 
     found: str
     sure: str
