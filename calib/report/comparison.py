@@ -130,10 +130,10 @@ def draw_mac(
             if math.isnan(value):
                 _not_paired(ax, place, ax.get_xaxis_transform())
             elif len(modes) * len(series) <= style.room(_MOST_MACS):
-                is_high = height > _HIGH
+                is_high, size = height > _HIGH, 7 if style.in_column() else 6.5
                 ax.annotate(
                     f"{value:.3f}", (place, height), xytext=(0, -6 if is_high else 6), textcoords="offset points",
-                    ha="center", va="top" if is_high else "bottom", fontsize=6.5, zorder=4, bbox=_ROOM,
+                    ha="center", va="top" if is_high else "bottom", fontsize=size, zorder=4, bbox=_ROOM,
                 )  # fmt: skip
     if not math.isnan(noise_mac):
         level = max(1.0 - noise_mac, LEAST_MAC_ERROR)
@@ -301,7 +301,9 @@ def _bars(
             hover(bar, f"{mode}, {stage_words[name]}: {words(height)}")
         if len(series) * len(values) <= style.room(_MOST_VALUES):
             texts = ["" if gone else _signed(h, number) for h, gone in zip(heights, missing, strict=True)]
-            ax.bar_label(bars, texts, fontsize=7 if len(values) < 3 else 6.5, padding=2, bbox=_ROOM)
+            ax.bar_label(
+                bars, texts, fontsize=7 if len(values) < 3 or style.in_column() else 6.5, padding=2, bbox=_ROOM
+            )
         for position in x[missing]:
             _not_paired(ax, position, "data")
     ax.set_xlim(-0.6, len(next(iter(values.values()))) - 0.4)

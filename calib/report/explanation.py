@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import textwrap
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -27,10 +28,14 @@ MOST = 40
 """Effects that are drawn; of more, such as generic ones, those with most evidence."""
 _WIDE = 60.0
 """Largest log Bayes factor that is drawn on a linear axis."""
+_OVER = 44
+"""Letters of a line of a name over its row."""
 _LABEL = 0.12
 """Least distance of two ticks, over the width of the axis."""
 _TICKS = (-3000, -1000, -300, -100, -30, 0, 10, 50, 100, 300, 1000, 3000, 10000, 30000, 100000)
 """Marks of an axis of roots."""
+_NOTE_LINE = 58
+"""Letters of a line of it in a column."""
 _NOTE = (
     "z: score of the effect; noise alone exceeds ±2 in 5 % of cases; negative: the data ask for a negative magnitude.\n"
     "Right: an effect in the shaded range would be visible only beyond its plausible magnitude; arrow: at none."
@@ -79,7 +84,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         that are not visible are grey.
     """
     rows = ranked(table).head(MOST)
-    ax = style.own_axes(ax, _height(len(rows)))
+    ax = style.own_axes(ax, _height(rows))
     if rows.empty:
         return blank(ax, "no effect was tested")
     values = rows["ln_bayes"].to_numpy(dtype=float)
@@ -115,13 +120,13 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
     if high > _WIDE or low < -_WIDE:
         ax.set_xscale("function", functions=(_root, _square))
         # The value and a word stand beside the largest.
-        left, right = min(1.3 * low, -2.0), 2.2 * max(high, 100.0)
+        left, right = min(1.3 * low, -2.0), (4.0 if style.in_column() else 2.2) * max(high, 100.0)
         ax.set_xlim(left, right)
         ticks = _apart([t for t in _TICKS if left <= t <= right], left, right)
         ax.set_xticks(ticks, [f"{t:g}".replace("-", "−") for t in ticks])
         label += "\non a scale of square roots"
     else:
-        ax.set_xlim(low - 0.03 * (high - low), high + 0.3 * (high - low))
+        ax.set_xlim(low - 0.03 * (high - low), high + (0.6 if style.in_column() else 0.3) * (high - low))
     _name_rows(ax, rows)
     ax.set_xlabel(label)
     if legend:
@@ -147,7 +152,7 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         magnitude would be visible. The score z and the model probability within the library stand at the right.
     """
     rows = ranked(table).head(MOST)
-    ax = style.own_axes(ax, _height(len(rows)))
+    ax = style.own_axes(ax, _height(rows))
     if rows.empty:
         return blank(ax, "no effect was tested")
     ratio = (rows["magnitude_min"] / rows["plausible"]).to_numpy(dtype=float)
@@ -169,20 +174,29 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     hover_points(ax, np.where(known, ratio, np.nan), at, words)
     never = np.isposinf(ratio)
     ax.plot(np.full(never.sum(), high * 1.9), at[never], ">", color=style.GREY, markersize=6, gid="never")
-    for row, (z, share) in enumerate(zip(rows["z"], rows["model_probability"], strict=True)):
-        colour = style.BLACK if seen[row] else style.GREY
-        _beside(ax, row, "–" if pd.isna(z) else f"{z:.1f}", probability(share), colour)
-    _beside(ax, -0.8, "z", "probability", style.GREY)
-    _name_rows(ax, rows)
-    ax.set_xlabel("smallest visible magnitude /\nplausible magnitude (–)")
+    told = [
+        ("–" if pd.isna(z) else f"{z:.1f}".replace("-", "−"), probability(share))
+        for z, share in zip(rows["z"], rows["model_probability"], strict=True)
+    ]
+    _name_rows(ax, rows, [f"z {z}, {likely}" for z, likely in told])
+    if not style.in_column():
+        for row, (z, likely) in enumerate(told):
+            _beside(ax, row, z, likely, style.BLACK if seen[row] else style.GREY)
+        _beside(ax, -0.8, "z", "probability", style.GREY)
+    ax.set_xlabel(
+        "smallest visible\nmagnitude / plausible\nmagnitude (–)"
+        if style.in_column()
+        else "smallest visible magnitude /\nplausible magnitude (–)"
+    )
     return ax
 
 
 def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     """Draw `draw_ranked_effects` and `draw_visibility` side by side, one row per effect."""
     handles = _handles(table) if len(table) else []
-    over_height = 0.2 * math.ceil(len(handles) / 2)
-    height = _height(min(len(table), MOST)) + 0.4
+    abreast = 1 if style.in_column() else 2
+    over_height = 0.2 * math.ceil(len(handles) / abreast)
+    height = _height(ranked(table).head(MOST)) + (0.6 if style.in_column() else 0.4)
     figure = style.new_figure(height + over_height)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(over_height or 0.1, height))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
@@ -190,10 +204,14 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     draw_ranked_effects(table, left, legend=False)
     draw_visibility(table, right)
     right.tick_params(labelleft=False)
+    if style.in_column():
+        style.run_on(left, right, len(table.head(MOST)))
     over.set_axis_off()
-    over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=2)
+    over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=abreast)
     fewer = f"The {MOST} with most evidence of {len(table)} effects.\n" if len(table) > MOST else ""
     note = fewer + (f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE)
+    if style.in_column():
+        note = "\n".join(textwrap.fill(line, _NOTE_LINE) for line in note.split("\n"))
     figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=style.GREY, linespacing=1.4)
     return figure
 
@@ -260,12 +278,18 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
     ends = {n: ", ".join([*([n] if titles.get(n, n) != n else []), *([known[n]] if n in known else [])]) for n in names}
     words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
-    ax.set_xticks(range(count), names, rotation=90, fontsize=8)
+    if style.in_column():  # rows are named by what columns are on a page, and columns numbered
+        words = [f"{n}  {k}" + (f"\n{known[n]}" if n in known else "") for k, n in enumerate(names, start=1)]
+        ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=7)
+    else:
+        ax.set_xticks(range(count), names, rotation=90, fontsize=8)
     ax.set_yticks(range(count), words, fontsize=7.5)
     note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
-    ax.set_xlabel(note + ("; γ: share that the parameters cannot explain" if known else ""))
-    label = "correlation ρ of the change patterns (–)"
-    style.bar_beside(ax, image, label)
+    at: Any = "right" if style.in_column() else "center"  # a narrow panel right of its names
+    ax.set_xlabel(note + ("; γ: share that the parameters cannot explain" if known else ""), loc=at)
+    bar = style.bar_beside(ax, image, "")
+    between = "\n" if style.in_column() else " "
+    bar.set_label(f"correlation ρ of the{between}change patterns (–)", loc=at)
     return ax
 
 
@@ -338,9 +362,15 @@ def _beside(ax: Axes, row: float, z: str, likely: str, colour: str) -> None:
         )
 
 
-def _height(count: int) -> float:
+def _height(rows: pd.DataFrame) -> float:
     """Height in inches of a figure with one row per effect, whose name may take two lines."""
-    return 1.6 + 0.36 * max(count, 1)
+    return 1.6 + style.rows_height(_row_names(rows), 0.36)
+
+
+def _row_names(rows: pd.DataFrame) -> list[str]:
+    """Names of the rows of a chart, long ones on two lines."""
+    titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
+    return [textwrap.fill(t, _OVER) if style.in_column() else _two_lines(t) for t in titles]
 
 
 def _apart(ticks: list[int], left: float, right: float) -> list[int]:
@@ -361,14 +391,13 @@ def _square(root: np.ndarray) -> np.ndarray:
     return np.sign(root) * np.square(root)
 
 
-def _name_rows(ax: Axes, rows: pd.DataFrame) -> None:
-    """Write the effects' names at the left, long ones on two lines, and draw lines between the rows."""
-    titles = [str(title) or str(name) for name, title in zip(rows["name"], rows["title"], strict=True)]
-    ax.set_yticks(range(len(rows)), [_two_lines(title) for title in titles], fontsize=8)
-    for words, visible in zip(ax.get_yticklabels(), _flags(rows["visible"]), strict=True):
-        words.set_color(style.BLACK if visible else style.GREY)
-    ax.tick_params(axis="y", length=0)
-    ax.set_ylim(len(rows) - 0.45, -0.55)
+def _name_rows(ax: Axes, rows: pd.DataFrame, values: Sequence[str] = ()) -> None:
+    """Write the effects' names, and draw lines between the rows."""
+    names = _row_names(rows)
+    top, _ = style.row_edges(names)
+    for words, visible in zip(style.name_rows(ax, names, values), _flags(rows["visible"]), strict=True):
+        words.set(color=style.BLACK if visible else style.GREY, fontsize=7.5 if style.in_column() else 8)
+    ax.set_ylim(len(rows) + top + 0.05, top - 0.05)
     ax.grid(axis="x")
     for row in range(1, len(rows)):
-        ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
+        ax.axhline(row + top, color="#E3E3E3", linewidth=0.6)

@@ -35,6 +35,7 @@ from calib.report.style import (
     picture_width,
     style,
     take_dollars_literally,
+    visible_texts,
     write,
 )
 from calib.report.svg import svg_text
@@ -251,7 +252,7 @@ def is_legible(figure: Figure) -> bool:
         return False
     whole = figure.bbox.padded(_PIXEL)
     beyond = [label for ax in figure.axes for axis in (ax.xaxis, ax.yaxis) for label in _ticks(axis, False)]
-    texts = [text for text in figure.findobj(Text) if isinstance(text, Text) and _is_visible(text)]
+    texts = [text for text in visible_texts(figure) if _is_visible(text)]
     if figure.get_size_inches()[0] <= COLUMN and any(float(text.get_fontsize()) < _SMALLEST for text in texts):
         return False
     boxes = _boxes(text for text in texts if not any(text is label for label in beyond))

@@ -29,6 +29,8 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency", "frf": "FRFs"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
+_TITLE = 24
+"""Letters of a line above a panel in a column."""
 _COLOURS = (style.AFTER, style.WITH, style.PURPLE, style.ORANGE, style.SKY)
 
 
@@ -89,10 +91,13 @@ def draw_where_it_fails(
             for m, line, chances in zip(modes, ratio, p, strict=True)
         ],
     )
-    ax.set_xticks(range(len(kinds)), kinds)
+    ax.set_xticks(range(len(kinds)), kinds, rotation=90 if style.in_column() else 0)
     ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
     style.separate_cells(ax, len(modes), len(kinds))
-    ax.set_title(style.added(stage, name).replace(": ", ":\n"), color=style.GREY if is_attempt else style.BLACK)
+    title = style.added(stage, name).replace(": ", ":\n")
+    if style.in_column():
+        title = textwrap.fill(title, _TITLE)
+    ax.set_title(title, color=style.GREY if is_attempt else style.BLACK)
     if is_attempt:
         for text in ax.texts:
             text.set_bbox({"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
@@ -101,7 +106,8 @@ def draw_where_it_fails(
         )
         whole.set_gid("attempt")
         ax.add_patch(whole)
-    ax.set_xlabel("in the cells: χ² / degrees of freedom")
+    if not style.in_column():  # where the colour bar tells it
+        ax.set_xlabel("in the cells: χ² / degrees of freedom")
     ax.set_ylabel("" if modes == [_UNNAMED] or _WORDS["frf"] in kinds else "mode")
     if bar:
         _unlikely_bar(image, [ax])
@@ -119,7 +125,8 @@ def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
         Effects that the other model adds to the base model; empty when unknown.
     """
     stages = [stage for stage in FITS if (table["stage"] == stage).any()] or ["base"]
-    figure = style.new_figure(0.2 + style.matrix_height(table["mode"].nunique(), len(KINDS)))
+    beside = 1.3 if style.in_column() else 0.2
+    figure = style.new_figure(beside + style.matrix_height(table["mode"].nunique(), len(KINDS)))
     panels = list(np.atleast_1d(figure.subplots(1, len(stages), sharey=True)))
     for ax, stage in zip(panels, stages, strict=True):
         draw_where_it_fails(table, ax, stage=stage, bar=False, name=name)
@@ -131,9 +138,7 @@ def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:
 
 
 def _unlikely_bar(image: ScalarMappable, panels: list[Axes]) -> None:
-    bar = panels[0].figure.colorbar(
-        image, ax=panels, label="colour: −log₁₀ p (number: χ²/ν)", fraction=0.04, pad=0.02, aspect=30
-    )
+    bar = style.bar_beside(panels, image, "colour: −log₁₀ p (number: χ²/ν)", 30)
     bar.set_ticks([0, 4, 8, 12, 16], labels=["0", "4", "8", "12", "≥ 16"])
 
 
@@ -162,7 +167,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     """
     models, every = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
     names = _most_pulled(table, every)
-    ax = style.own_axes(ax, 1.2 + 0.38 * max(1, len(names)))
+    ax = style.own_axes(ax, 1.2 + style.rows_height(names, 0.38))
     if not names:
         return blank(ax, "no parameter was calibrated")
     dot = {"marker": "o", "linestyle": "none", "markersize": 11}
@@ -199,22 +204,27 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         for side in (-limit, limit):
             ax.axvline(side, color=style.BLACK, linestyle="--", linewidth=0.9, gid="limit")
     ax.axvline(0.0, color=style.GREY, linewidth=0.8)
-    for row, name in enumerate(names):
-        words = _values(table[table["parameter"] == name], models)
-        ax.text(1.02, row, words, transform=ax.get_yaxis_transform(), va="center", fontsize=8)
+    values = [_values(table[table["parameter"] == name], models) for name in names]
+    top, _ = style.row_edges(names)
+    style.name_rows(ax, names, values)
+    for row, words in enumerate(values):
+        if not style.in_column():
+            ax.text(1.02, row, words, transform=ax.get_yaxis_transform(), va="center", fontsize=8)
         if row:
-            ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
-    ax.set_yticks(range(len(names)), [str(name) for name in names])
-    ax.tick_params(axis="y", length=0)
+            ax.axhline(row + top, color="#E3E3E3", linewidth=0.6)
     size = np.abs([*table["standardised"].astype(float), *limits, 3.0])
     reach = 1.12 * float(size[np.isfinite(size)].max())
-    ax.set(ylim=(len(names) - 0.4, -0.6), xlim=(-reach, reach))
+    ax.set(ylim=(len(names) + top + 0.1, top - 0.1), xlim=(-reach, reach))
     ax.grid(axis="x")
     left = f"; {len(every) - len(names)} parameters with smaller shifts are left out" if len(names) < len(every) else ""
-    ax.set_xlabel(f"shift from the nominal value over its expected deviation,\nthat in a correct model (–){left}")
+    label = f"shift from the nominal value over its expected deviation,\nthat in a correct model (–){left}"
     words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
-    words = textwrap.fill(words, 40, break_long_words=False)
-    ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=style.GREY)
+    if style.in_column():
+        label += f"\nvalues: {words}"
+    else:
+        words = textwrap.fill(words, 40, break_long_words=False)
+        ax.text(1.02, -0.02, words, transform=ax.transAxes, va="top", fontsize=8, color=style.GREY)
+    ax.set_xlabel(label)
     if limits:
         label = "limit ± " + ", ".join(f"{limit:.2f}" for limit in limits)
         handles.append(Line2D([], [], color=style.BLACK, linestyle="--", linewidth=0.9, label=label))

@@ -12,7 +12,19 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import fixed, significant, with_unit
-from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, legend_above, own_axes, room
+from calib.report.style import (
+    BLACK,
+    BLUE,
+    GREY,
+    ORANGE,
+    VERMILLION,
+    in_column,
+    legend_above,
+    name_rows,
+    own_axes,
+    row_edges,
+    rows_height,
+)
 from calib.report.svg import hover, hover_points
 
 _PRIOR = "#E8E8E8"
@@ -51,12 +63,15 @@ def draw_parameters(
     Axes
         In each row, from the lower limit at 0 to the upper at 1: a grey band of two prior standard deviations about the
         nominal value (an open diamond), the reported value with its 95 % interval, filled where it is identified, and
-        small crosses at the values of the other cases. The value and its standard deviation stand at the right.
+        small crosses at the values of the other cases. The value and its standard deviation stand at the right,
+        in a column over the row.
     """
     names, cases = list(dict.fromkeys(table["parameter"])), list(dict.fromkeys(table["case"]))
     best_case = best_case if best_case in cases else cases[0]
     best = table[table["case"] == best_case].set_index("parameter").reindex(names)
-    ax = own_axes(ax, 1.3 + 0.36 * len(names))
+    named = [f"{name} (log)" if log else str(name) for name, log in zip(names, _logs(best), strict=True)]
+    top, _ = row_edges(named)
+    ax = own_axes(ax, 1.3 + rows_height(named, 0.36))
     rows, place = np.arange(len(names)), best["ratio"].to_numpy(dtype=float)
     std = best["std"].to_numpy(dtype=float) if "std" in best else np.full(len(names), np.nan)
     reach = _INTERVAL * _share(best, best["value"], std)
@@ -78,21 +93,23 @@ def draw_parameters(
     ax.plot(others["ratio"], at, "x", color=GREY, markersize=5, markeredgewidth=1.2, gid="other cases", zorder=4)
     bound = np.array([_flag(value) is True for value in best["on_limit"]])
     edge = np.where(place[bound] > 0.5, 1.02, -0.02)
-    ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_limit", clip_on=False, zorder=5)
-    words, beside = [], 1.02 + 0.03 / room(1.0)  # clear of the marks at the limits
+    (marks,) = ax.plot(edge, rows[bound], "d", color=VERMILLION, markersize=6, gid="on_limit", clip_on=False, zorder=5)
+    marks.set_in_layout(bool(bound.any()))  # without any it would need room at the origin
+    texts, words, beside = list[str](), [], 1.05  # clear of the marks at the limits
     for row, (name, value) in enumerate(best.iterrows()):
         unit, width = str(value["unit"]), std[row]
         text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
         text = with_unit(value["value"], unit) if math.isnan(width) else text
         colour = GREY if known[row] is False else BLACK
-        ax.text(beside, row, text, va="center", fontsize=8, color=colour)
+        if not in_column():
+            ax.text(beside, row, text, va="center", fontsize=8, color=colour)
+        texts.append(text)
         words.append(f"{name}, {best_case}: {text}, at {fixed(place[row], 2)} of its search range")
         if row:
-            ax.axhline(row - 0.5, color="#E3E3E3", linewidth=0.6)
+            ax.axhline(row + top, color="#E3E3E3", linewidth=0.6)
     hover_points(ax, place, rows, words)
-    ax.set_yticks(rows, [f"{name} (log)" if log else str(name) for name, log in zip(names, _logs(best), strict=True)])
-    ax.tick_params(axis="y", length=0)
-    ax.set(xlim=(-0.03, 1.03), ylim=(len(names) - 0.45, -0.55))
+    name_rows(ax, named, texts)
+    ax.set(xlim=(-0.03, 1.03), ylim=(len(names) + top + 0.05, top - 0.05))
     ax.set_xticks(np.linspace(0.0, 1.0, 6))
     ax.set_xlabel("position between the lower (0) and the upper search limit (1)")
     for side in (0.0, 1.0):
@@ -163,7 +180,7 @@ def _draw_prior(ax: Axes, best: pd.DataFrame, prior: pd.DataFrame | None) -> boo
     rows = np.arange(len(best))
     has = np.isfinite(nominal) & np.isfinite(reach)
     low, high = np.clip(nominal[has] - reach[has], 0.0, 1.0), np.clip(nominal[has] + reach[has], 0.0, 1.0)
-    bands = ax.barh(rows[has], high - low, 0.6, left=low, color=_PRIOR, gid="prior", zorder=1)
+    bands = ax.barh(rows[has], high - low, 0.4 if in_column() else 0.6, left=low, color=_PRIOR, gid="prior", zorder=1)
     for band, (name, row) in zip(bands, known[has].iterrows(), strict=True):
         words = f"nominal {significant(row['value'])}, prior standard deviation {significant(row['prior_sd'])}"
         hover(band, f"{name}: {words}")

@@ -74,6 +74,7 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
     """
     groups = _groups(table)
     ax = style.own_axes(ax, 3.6)
+    letters, room = (11, 1.9) if style.in_column() else (18, 1.2)
     if not groups:
         return blank(ax, "no error is known")
     stages = [stage for stage in _STAGES if (table["stage"] == stage).any()]
@@ -103,10 +104,10 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
         (x_first, first), (x_last, last) = ends
         ax.plot([x_first, x_last], [first, last], color=style.REST, linewidth=1.2, zorder=2)
     handles.append(Line2D([], [], color=style.BLACK, linewidth=1.6, label="expected for a correct model"))
-    _scale(ax, table, 1.2)
+    _scale(ax, table, room)
     for values in told:
         _write_errors(ax, *values)
-    ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), 18) for g in groups])
+    ax.set_xticks(range(len(groups)), [textwrap.fill(GROUPS.get(g, g), letters) for g in groups])
     ax.set_xlim(-0.6, len(groups) - 0.4)
     ax.grid(axis="y")
     ax.set_ylabel("rms error (σ)")
@@ -115,14 +116,21 @@ def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") 
 
 
 def _write_errors(ax: Axes, x: np.ndarray, rms: np.ndarray, expected: np.ndarray, p: np.ndarray) -> None:
-    """Write each error above its dot; below it where the line of the expected value would cross the words."""
+    """Write each error above its dot, and clear of the line of the expected value: below the dot, or over the line.
+
+    In a column, where groups are narrow, the words stand upright.
+    """
     for at, r, e, q in zip(x, rms, expected, p, strict=True):
         if np.isfinite(r):
             own, line = (float(ax.transData.transform((at, v))[1]) for v in (r, e if np.isfinite(e) else r))
-            crossed = 0.0 < (line - own) * 72.0 / ax.figure.dpi < _WORDS
+            foot = float(ax.transAxes.transform((0.0, 0.0))[1])
+            below, above = ((one - two) * 72.0 / ax.figure.dpi for one, two in ((own, foot), (line, own)))
+            crossed, words, upright = 0.0 < above < _WORDS, _error_words(r, q), style.in_column()
+            down = crossed and below > _WORDS and not upright
             ax.annotate(
-                _error_words(r, q), (at, r), xytext=(0, -7 if crossed else 7), textcoords="offset points",
-                ha="center", va="top" if crossed else "bottom", fontsize=7.5,
+                words.replace("\n", ", ") if upright else words,
+                (at, e if crossed and not down else r), xytext=(0, -7 if down else 7), textcoords="offset points",
+                ha="center", va="top" if down else "bottom", fontsize=7.5, rotation=90 if upright else 0,
             )  # fmt: skip
 
 
@@ -248,7 +256,7 @@ def draw_next_measurement(
     colours = [_KINDS.get(kind, (kind, style.GREY))[1] for kind in rows["kind"].astype(str)]
     words = ["–" if np.isnan(v) else f"× {v:.2f}" if measure == "gain" else f"{v:.1f}" for v in values]
     values = np.where(np.isfinite(values), values, start)
-    bars = ax.barh(at, values - start, 0.66, left=start, color=colours, gid=measure)
+    bars = ax.barh(at, values - start, 0.4 if style.in_column() else 0.66, left=start, color=colours, gid=measure)
     for bar, name, word in zip(bars, rows["measurement"], words, strict=True):
         hover(bar, f"{name}: {word}")
     ax.bar_label(bars, [w.replace("-", "−").replace("inf", "∞") for w in words], fontsize=8, padding=3)
@@ -266,9 +274,11 @@ def draw_next_measurement(
         ax.set_xlabel(f"expected log Bayes factor of the\ntrue effect (–; {limits})")
     else:
         ax.set_xlabel("expected gain in the score z of the effect\n(–; lines: 8 of 10 cases; 1: no gain)")
-    ax.set_yticks(at, _measurement_labels(rows), fontsize=8)
-    ax.tick_params(axis="y", length=0)
-    ax.set_ylim(len(rows) - 0.45, -0.55)
+    names = _measurement_labels(rows)
+    top, _ = style.row_edges(names)
+    for name in style.name_rows(ax, names):
+        name.set_fontsize(7.5 if style.in_column() else 8)
+    ax.set_ylim(len(rows) + top + 0.05, top - 0.05)
     ax.grid(axis="x")
     if legend:
         # The labels are so wide that the legend has room for two columns at most.
@@ -289,8 +299,11 @@ def next_measurement_figure(table: pd.DataFrame) -> Figure:
     draw_next_measurement(table, left, legend=False)
     draw_next_measurement(table, right, measure="ln_bayes", legend=False)
     right.tick_params(labelleft=False)
+    if style.in_column():
+        style.run_on(left, right, len(rows))
     over.set_axis_off()
-    over.legend(handles=_kind_handles(rows), loc="upper left", borderaxespad=0.0, ncols=4)
+    abreast = 2 if style.in_column() else 4
+    over.legend(handles=_kind_handles(rows), loc="upper left", borderaxespad=0.0, ncols=abreast)
     return figure
 
 
@@ -334,5 +347,7 @@ def _measurement_labels(rows: pd.DataFrame) -> list[str]:
 
 
 def _next_height(rows: pd.DataFrame) -> float:
+    if style.in_column():
+        return 1.6 + style.rows_height(_measurement_labels(rows), 0.3)
     lines = [label.count("\n") + 1 for label in _measurement_labels(rows)] if len(rows) else [1]
     return 1.3 + sum(max(0.3, 0.17 * n + 0.06) for n in lines)
