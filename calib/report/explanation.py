@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 
 from calib.report import style
 from calib.report.numbers import fixed, flag, probability, short, significant
+from calib.report.rows import name_rows, row_edges, rows_height, run_on
 from calib.report.svg import hover, hover_cells, hover_points
 
 LEAST_BAYES_FACTOR = 3.0
@@ -183,20 +184,16 @@ def draw_visibility(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         for row, (z, likely) in enumerate(told):
             _beside(ax, row, z, likely, style.BLACK if seen[row] else style.GREY)
         _beside(ax, -0.8, "z", "probability", style.GREY)
-    ax.set_xlabel(
-        "smallest visible\nmagnitude / plausible\nmagnitude (–)"
-        if style.in_column()
-        else "smallest visible magnitude /\nplausible magnitude (–)"
-    )
+    on_page = "smallest visible magnitude /\nplausible magnitude (–)"
+    ax.set_xlabel("smallest visible\nmagnitude / plausible\nmagnitude (–)" if style.in_column() else on_page)
     return ax
 
 
 def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     """Draw `draw_ranked_effects` and `draw_visibility` side by side, one row per effect."""
     handles = _handles(table) if len(table) else []
-    abreast = 1 if style.in_column() else 2
-    over_height = 0.2 * math.ceil(len(handles) / abreast)
-    height = _height(ranked(table).head(MOST)) + (0.6 if style.in_column() else 0.4)
+    abreast, more = (1, 0.6) if style.in_column() else (2, 0.4)
+    over_height, height = 0.2 * math.ceil(len(handles) / abreast), _height(ranked(table).head(MOST)) + more
     figure = style.new_figure(height + over_height)
     grid = figure.add_gridspec(2, 2, width_ratios=(1.6, 1.0), height_ratios=(over_height or 0.1, height))
     over, left = figure.add_subplot(grid[0, :]), figure.add_subplot(grid[1, 0])
@@ -205,7 +202,7 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     draw_visibility(table, right)
     right.tick_params(labelleft=False)
     if style.in_column():
-        style.run_on(left, right, len(table.head(MOST)))
+        run_on(left, right, len(table.head(MOST)))
     over.set_axis_off()
     over.legend(handles=handles, loc="upper left", borderaxespad=0.0, ncols=abreast)
     fewer = f"The {MOST} with most evidence of {len(table)} effects.\n" if len(table) > MOST else ""
@@ -364,7 +361,7 @@ def _beside(ax: Axes, row: float, z: str, likely: str, colour: str) -> None:
 
 def _height(rows: pd.DataFrame) -> float:
     """Height in inches of a figure with one row per effect, whose name may take two lines."""
-    return 1.6 + style.rows_height(_row_names(rows), 0.36)
+    return 1.6 + rows_height(_row_names(rows), 0.36)
 
 
 def _row_names(rows: pd.DataFrame) -> list[str]:
@@ -394,8 +391,8 @@ def _square(root: np.ndarray) -> np.ndarray:
 def _name_rows(ax: Axes, rows: pd.DataFrame, values: Sequence[str] = ()) -> None:
     """Write the effects' names, and draw lines between the rows."""
     names = _row_names(rows)
-    top, _ = style.row_edges(names)
-    for words, visible in zip(style.name_rows(ax, names, values), _flags(rows["visible"]), strict=True):
+    top, _ = row_edges(names)
+    for words, visible in zip(name_rows(ax, names, values), _flags(rows["visible"]), strict=True):
         words.set(color=style.BLACK if visible else style.GREY, fontsize=7.5 if style.in_column() else 8)
     ax.set_ylim(len(rows) + top + 0.05, top - 0.05)
     ax.grid(axis="x")

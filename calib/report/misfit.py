@@ -18,6 +18,7 @@ from matplotlib.patches import Rectangle
 from calib.report import style
 from calib.report.explanation import blank
 from calib.report.numbers import fixed, flag, p_in_words, short, significant, with_unit
+from calib.report.rows import name_rows, row_edges, rows_height
 from calib.report.svg import hover, hover_cells, hover_points
 
 KINDS = ("frequency", "damping", "shape")
@@ -167,7 +168,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     """
     models, every = list(dict.fromkeys(table["model"])), list(dict.fromkeys(table["parameter"]))
     names = _most_pulled(table, every)
-    ax = style.own_axes(ax, 1.2 + style.rows_height(names, 0.38))
+    ax = style.own_axes(ax, 1.2 + rows_height(names, 0.38))
     if not names:
         return blank(ax, "no parameter was calibrated")
     dot = {"marker": "o", "linestyle": "none", "markersize": 11}
@@ -205,8 +206,8 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             ax.axvline(side, color=style.BLACK, linestyle="--", linewidth=0.9, gid="limit")
     ax.axvline(0.0, color=style.GREY, linewidth=0.8)
     values = [_values(table[table["parameter"] == name], models) for name in names]
-    top, _ = style.row_edges(names)
-    style.name_rows(ax, names, values)
+    top, _ = row_edges(names)
+    name_rows(ax, names, values)
     for row, words in enumerate(values):
         if not style.in_column():
             ax.text(1.02, row, words, transform=ax.get_yaxis_transform(), va="center", fontsize=8)

@@ -12,19 +12,8 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.numbers import fixed, significant, with_unit
-from calib.report.style import (
-    BLACK,
-    BLUE,
-    GREY,
-    ORANGE,
-    VERMILLION,
-    in_column,
-    legend_above,
-    name_rows,
-    own_axes,
-    row_edges,
-    rows_height,
-)
+from calib.report.rows import name_rows, row_edges, rows_height
+from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, in_column, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 
 _PRIOR = "#E8E8E8"

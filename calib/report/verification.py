@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 from calib.report import style
 from calib.report.explanation import LEAST_BAYES_FACTOR, blank
 from calib.report.numbers import fixed, p_in_words, short
+from calib.report.rows import name_rows, row_edges, rows_height, run_on
 from calib.report.svg import hover, hover_points
 from calib.results.answer import in_prose
 
@@ -275,8 +276,8 @@ def draw_next_measurement(
     else:
         ax.set_xlabel("expected gain in the score z of the effect\n(–; lines: 8 of 10 cases; 1: no gain)")
     names = _measurement_labels(rows)
-    top, _ = style.row_edges(names)
-    for name in style.name_rows(ax, names):
+    top, _ = row_edges(names)
+    for name in name_rows(ax, names):
         name.set_fontsize(7.5 if style.in_column() else 8)
     ax.set_ylim(len(rows) + top + 0.05, top - 0.05)
     ax.grid(axis="x")
@@ -300,7 +301,7 @@ def next_measurement_figure(table: pd.DataFrame) -> Figure:
     draw_next_measurement(table, right, measure="ln_bayes", legend=False)
     right.tick_params(labelleft=False)
     if style.in_column():
-        style.run_on(left, right, len(rows))
+        run_on(left, right, len(rows))
     over.set_axis_off()
     abreast = 2 if style.in_column() else 4
     over.legend(handles=_kind_handles(rows), loc="upper left", borderaxespad=0.0, ncols=abreast)
@@ -348,6 +349,6 @@ def _measurement_labels(rows: pd.DataFrame) -> list[str]:
 
 def _next_height(rows: pd.DataFrame) -> float:
     if style.in_column():
-        return 1.6 + style.rows_height(_measurement_labels(rows), 0.3)
+        return 1.6 + rows_height(_measurement_labels(rows), 0.3)
     lines = [label.count("\n") + 1 for label in _measurement_labels(rows)] if len(rows) else [1]
     return 1.3 + sum(max(0.3, 0.17 * n + 0.06) for n in lines)
