@@ -111,6 +111,21 @@ def test_a_module_that_becomes_a_folder_is_found_there(package):
     assert edited(package, "solve/__init__.py", "return [1", "return [2") != before
 
 
+def test_later_processes_take_digests_that_are_kept_until_a_file_changes(package, monkeypatch):
+    monkeypatch.setattr(sys, "dont_write_bytecode", False)
+    (package / "__pycache__").mkdir()
+    before, files = digest(package), digests.imports_of
+    digests._digest.cache_clear()
+    monkeypatch.setattr(digests, "imports_of", lambda *_, **__: pytest.fail("found again"))
+    assert digest(package) == before
+    monkeypatch.setattr(digests, "imports_of", files)
+    assert edited(package, "solve.py", "return [1", "return [2") != before
+    digests._digest.cache_clear()
+    for damaged in ("", "[]", "{}", '{"state": 1}'):
+        next((package / "__pycache__").glob("code_digest.json")).write_text(damaged)
+        assert edited(package, "solve.py", "return [2", "return [2") != before
+
+
 def tokens(text: str) -> list[str]:
     """Tokens of a text without comments, line ends, and strings that are statements of their own."""
     out, first = [], True

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import hashlib
+import importlib.util
+import json
 import os
 import re
+import sys
 from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeAlias
 
 from calib.errors.own_code import CALIB
+from calib.results.written import whole
 
 _TOKENS = re.compile(
     r"""(?P<string>r?(?:"{3}(?:[^\\]|\\.)*?"{3}|'{3}(?:[^\\]|\\.)*?'{3}|"(?:[^"\\\n]|\\.)*"|'(?:[^'\\\n]|\\.)*'))"""
@@ -52,11 +57,39 @@ def code_digest(*modules: str, apart: Collection[str] = (), folder: Path = CALIB
 def _digest(
     modules: tuple[str, ...], apart: frozenset[str], folder: Path, state: frozenset[tuple[str, int, int]]
 ) -> str:
+    of_state, key = hashlib.sha256(repr(sorted(state)).encode()).hexdigest(), repr((modules, sorted(apart)))
+    kept = _kept(folder, of_state)
+    if found := kept.get(key):
+        return found
     source = functools.cache(_source)
     digest = hashlib.sha256()
     for line in sorted(_line(source, *each) for each in imports_of(*modules, apart=apart, folder=folder).items()):
         digest.update(line.encode())
-    return digest.hexdigest()[:16]
+    found = digest.hexdigest()[:16]
+    _keep(folder, {"state": of_state, **kept, key: found})
+    return found
+
+
+def _kept(folder: Path, state: str) -> dict[str, str]:
+    """Digests that an earlier process has found of the present state; none without them."""
+    try:
+        known = json.loads(_beside_compiled(folder).read_bytes())
+        return dict(known) if known["state"] == state else {}
+    except (OSError, ValueError, KeyError, TypeError, NotImplementedError):
+        return {}
+
+
+def _keep(folder: Path, digests: Mapping[str, str]) -> None:
+    """Keep digests for later processes where Python may keep what it has compiled; they can be deleted at any time."""
+    if sys.dont_write_bytecode:
+        return
+    with contextlib.suppress(OSError, NotImplementedError), whole(_beside_compiled(folder)) as draft:
+        draft.write_text(json.dumps(digests), "utf-8")
+
+
+def _beside_compiled(folder: Path) -> Path:
+    """File of kept digests: beside compiled code, which Python too takes while time of change and size stay."""
+    return Path(importlib.util.cache_from_source(folder / "__init__.py")).with_name("code_digest.json")
 
 
 def _state(folder: Path) -> frozenset[tuple[str, int, int]]:
