@@ -9,19 +9,14 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
-from calib.analyses.extend import found_among
 from calib.analyses.provenance import places
 from calib.analyses.provenance.stale import Stale, stale_answers
-from calib.analyses.versions import write_versions
-from calib.api.figures_made import make_all
 from calib.api.listener import Listener
 from calib.errors.errors import InputError
 from calib.problem.joint import TEST
-from calib.report.figures import FigureRequest
 from calib.report.html.study_results import REPORT, StudyResults
-from calib.report.style import FORMATS, Format, Width, add_heading, save, style
+from calib.report.kept import KeptFigures
 from calib.report.tables import CurrentFolder, read_results
-from calib.report.why import BY_TEST
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
 from calib.study.several import JointStudy
@@ -29,6 +24,8 @@ from calib.study.study_file import StudyFile, shell_argument
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
+
+    from calib.report.style import Format, Width
 
 _NUMBERED = re.compile(r"_\d+$")
 """End of the name of one of several pictures of a subject."""
@@ -42,6 +39,11 @@ class Shown:
     folder: Results
     stale: Stale
     results: StudyResults
+
+    def kept(self, formats: Sequence[Format], width: Width) -> KeptFigures:
+        """Its figures of an earlier drawing, in these formats and that width."""
+        looks = self.results.title, self.results.synthetic, self.results.axes, tuple(formats), width
+        return KeptFigures(CurrentFolder(self.folder.path, self.stale.files), looks)
 
 
 def draw(
@@ -89,18 +91,29 @@ def draw(
             from calib.report.html import write  # with its templates, needed for pages alone
         for one in each:
             listener.to_draw(one.study, one.stale.told, place / REPORT if report and one is whole else None)
+        kept = [one.kept(formats, width) for one in each]
+        if not report and None not in (there := [one.there for one in kept]):
+            for one, paths in zip(each, there, strict=True):
+                listener.drawn(one.study, paths or (), None)
+            return
+        from calib.api.figures_made import make_all
+        from calib.report.figures import FigureRequest
+
         with listener.progress() as step, places.tasks_shared(workers):
-            for one in each:
+            for one, earlier in zip(each, kept, strict=True):
                 place, own = one.folder.path, one.results.figures
+                earlier.forget()
                 request = FigureRequest(write.pictures(one.results) if report else (), formats, width)
                 own.take(partial(make_all, own, request, step))
             place = whole.folder.path
             written = write.write_report(whole.results, step) if report else None
-            for one in each:
+            for one, now in zip(each, kept, strict=True):
                 place = one.folder.path
                 figures = one.results.figures.save(formats, step, width)
                 one.folder.remove(*_replaced(place, figures, everything=bool(one.stale.files)))
-                listener.drawn(one.study, figures, written if one is whole else None, one.results.figures.too_wide)
+                if not (too_wide := one.results.figures.too_wide):  # which is told whenever they are asked for
+                    now.note(figures)
+                listener.drawn(one.study, figures, written if one is whole else None, too_wide)
     except OSError as fault:
         raise InputError(
             f"a figure or the report cannot be written ({fault.strerror})",
@@ -111,6 +124,8 @@ def draw(
 
 def _replaced(folder: Path, figures: Sequence[Path], everything: bool) -> list[str]:
     """Names of older pictures that new ones replace: those that are now one or several, or all others."""
+    from calib.report.style import FORMATS
+
     stems = {file.stem for file in figures}
     subjects = {_NUMBERED.sub("", stem) for stem in stems}
     old = [file for kind in FORMATS for file in folder.glob(f"*.{kind}") if file not in figures and is_own(file)]
@@ -160,6 +175,8 @@ def write_named(
     figures: Sequence[tuple[str, Callable[[], Figure]]], title: str, synthetic: bool, folder: Path
 ) -> tuple[Path, ...]:
     """Draw figures that a user asked for, by name, each with a heading, and write them into a folder; their paths."""
+    from calib.report.style import add_heading, save, style
+
     written: list[Path] = []
     for name, draw in figures:
         with style():
@@ -193,6 +210,9 @@ def redraw(path: Path, root: Path, listener: Listener, formats: Sequence[Format]
 
 def redraw_study(study: StudyFile, root: Path, listener: Listener, formats: Sequence[Format], width: Width) -> None:
     """Redraw every figure and report of a study, and of the extended studies among its results; see `draw`."""
+    from calib.analyses.extend import found_among
+    from calib.analyses.versions import write_versions
+
     found: dict[str, None] = {}
     for one in study.parts:
         folders = places.answers_of(one, root)
@@ -221,6 +241,8 @@ _T = TypeVar("_T", bound=_OfTest)
 
 def first_test(folder: Results) -> str:
     """The test that `calib.missing.pattern.reduction_table` marks; empty where no effect is named, and without it."""
+    from calib.report.why import BY_TEST
+
     name = f"{BY_TEST}.csv"
     if not folder.has(name):
         return ""

@@ -30,13 +30,14 @@ def make_all(figures: Figures, request: FigureRequest, progress: Progress) -> di
     """
     names = list(figures.plan)
     task = _Task(figures.folder, figures.title, figures.synthetic, figures.prefix, figures.axes, request)
+    task.__dict__["figures"] = figures  # this process has read the tables
     found = each(_make_one, task, names, lambda done: progress("drawing figures", done, len(names)))
     return dict(zip(names, found, strict=True))
 
 
 @dataclass(frozen=True)
 class _Task:
-    """What every process needs; each reads the tables itself."""
+    """What every process needs; each other one reads the tables itself."""
 
     folder: CurrentFolder
     title: str

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import hashlib
 import re
 import textwrap
@@ -12,7 +11,6 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-import matplotlib
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
@@ -24,6 +22,7 @@ from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
+from calib.report.kept import drawn_by
 from calib.report.scene import upright
 from calib.report.style import (
     COLUMN,
@@ -40,7 +39,6 @@ from calib.report.style import (
 )
 from calib.report.svg import svg_text
 from calib.report.tables import CurrentFolder
-from calib.results.code_digest import code_digest
 from calib.results.written import is_own
 
 
@@ -189,7 +187,7 @@ class Figures:
         """What a picture of the drawing shows and who draws it; empty where that is not known."""
         if not (own := drawing.key):
             return ""
-        parts = (own, self.title, drawing.caption, self.synthetic, width, self.axes, _drawn_by())
+        parts = (own, self.title, drawing.caption, self.synthetic, width, self.axes, drawn_by())
         return hashlib.sha256(repr(parts).encode()).hexdigest()
 
     def _content(self, drawing: Drawing, formats: Sequence[Format], width: Width) -> tuple[dict[Format, bytes], bool]:
@@ -217,12 +215,6 @@ class Figures:
     def _headed(self, figure: Figure, caption: str) -> Figure:
         add_heading(figure, f"{self.title}: {caption}" if self.title else caption, self.synthetic)
         return figure
-
-
-@functools.cache
-def _drawn_by() -> str:
-    """The code that draws: that of this room, and matplotlib."""
-    return f"{code_digest('calib.report.draw', 'calib.report.figures')} {matplotlib.__version__}"
 
 
 _LEAST = 1.0

@@ -3,7 +3,11 @@
 import pytest
 
 from calib.report import figures as module
+from calib.report import kept
 from calib.report.figures import Figures
+from calib.report.kept import KeptFigures
+from calib.report.tables import CurrentFolder
+from calib.results.results import Results
 
 
 @pytest.fixture
@@ -60,7 +64,7 @@ def test_another_heading_width_or_format_draws_all(folder, drawn, change):
 
 @pytest.mark.slow
 def test_other_code_draws_all(folder, drawn, monkeypatch):
-    monkeypatch.setattr(module, "_drawn_by", lambda: "a later version")
+    monkeypatch.setattr(module, "drawn_by", lambda: "a later version")
     assert drawn() == set(Figures(folder, "Mast", True).plan)
 
 
@@ -86,3 +90,61 @@ def test_a_picture_too_wide_for_a_column_is_told_again_where_it_is_not_drawn_aga
     assert again.too_wide == figures.too_wide
     again.save()
     assert again.too_wide == ()
+
+
+@pytest.fixture
+def noted(tmp_path):
+    """A folder with a table and pictures whose drawing was noted."""
+    results = Results(tmp_path)
+    results.write_json("record", {"when": 1})
+    (tmp_path / "modes.csv").write_text("mode\n1BT\n")
+    pictures = [results._write(f"{name}.png", name) for name in ("modes", "comparison")]
+    now = KeptFigures(CurrentFolder(tmp_path, frozenset()), ("Mast", True))
+    assert now.there is None
+    now.forget()
+    now.note(pictures)
+    assert now.there == pictures
+    return results
+
+
+def test_a_folder_is_known_as_drawn_until_what_decides_its_pictures_changes(noted, monkeypatch):
+    folder = noted.path
+
+    def there(looks=("Mast", True), *stale):
+        return KeptFigures(CurrentFolder(folder, frozenset(stale)), looks).there
+
+    noted.write_json("record", {"when": 2})
+    assert there() == [folder / "modes.png", folder / "comparison.png"]
+    assert there(("Tower", True)) is there(("Mast", True), "modes.csv") is None
+    with monkeypatch.context() as patch:
+        patch.setattr(kept, "drawn_by", lambda: "a later version")
+        assert there() is None
+    table = (folder / "modes.csv").read_text()
+    (folder / "modes.csv").write_text(table.replace("1", "2"))
+    assert there() is None
+    (folder / "modes.csv").write_text(table)
+    assert there() is not None
+    (folder / "errors.csv").write_text("group\n")
+    assert there() is None
+
+
+@pytest.mark.parametrize("damage", ["edited", "gone", "forgotten", "torn"])
+def test_a_folder_whose_picture_or_note_is_not_as_written_is_drawn(noted, damage):
+    now = KeptFigures(CurrentFolder(noted.path, frozenset()), ("Mast", True))
+    if damage == "edited":
+        (noted.path / "modes.png").write_text("edited")
+    elif damage == "gone":
+        (noted.path / "modes.png").unlink()
+    elif damage == "forgotten":
+        now.forget()
+    else:
+        (noted.path / ".drawn.json").write_text("{")
+    assert now.there is None
+
+
+def test_tables_that_change_while_they_are_drawn_are_drawn_again(noted):
+    now = KeptFigures(CurrentFolder(noted.path, frozenset()), ("Mast", True))
+    now.forget()
+    (noted.path / "modes.csv").write_text("mode\n2BT\n")
+    now.note([noted.path / "modes.png"])
+    assert KeptFigures(now.folder, now.looks).there is None

@@ -5,14 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 
 from calib.errors.errors import InputError
-from calib.report.figures import Figures
 from calib.report.html.columns import COLUMNS
-from calib.report.style import stage_words
 from calib.report.tables import (
     TEST,
     Folder,
@@ -25,6 +23,9 @@ from calib.report.tables import (
 )
 from calib.results.answer import in_prose
 from calib.results.json_file import ANY, read_json
+
+if TYPE_CHECKING:
+    from calib.report.figures import Figures
 
 REPORT = "report.html"
 """Name of the page."""
@@ -127,6 +128,8 @@ class StudyResults:
     @cached_property
     def figures(self) -> Figures:
         """The figures of the folder."""
+        from calib.report.figures import Figures
+
         return Figures(self.folder, self.title, self.synthetic, self.prefix, str(self.record.get("axes", "")))
 
     @property
@@ -141,6 +144,8 @@ class StudyResults:
 
     def in_words(self, stage: str) -> str:
         """What the model of a stage is; see `calib.report.style.stage_words`."""
+        from calib.report.style import stage_words
+
         return stage_words(stage, self.added_effects)
 
     def has(self, name: str) -> bool:

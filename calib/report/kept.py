@@ -1,0 +1,81 @@
+"""Figures that are there already: what those of a folder were drawn from, kept beside them.
+
+Nothing here imports matplotlib, so that figures that stay as they are cost no import of it.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache, cached_property
+from importlib import metadata
+from pathlib import Path
+
+from calib.report.tables import CurrentFolder
+from calib.results.code_digest import code_digest
+from calib.results.written import is_own, whole
+
+_FILE = ".drawn.json"
+_RECORD = "record.json"
+"""The only file of results that decides no figure by all that is in it, since it tells when an analysis was made."""
+
+
+@dataclass(frozen=True)
+class KeptFigures:
+    """Figures of one folder of results.
+
+    Attributes
+    ----------
+    folder : CurrentFolder
+    looks : tuple
+        What decides how they look beside tables and code: titles, axes, formats and width, as ``repr`` states them.
+    """
+
+    folder: CurrentFolder
+    looks: tuple[object, ...]
+
+    @property
+    def there(self) -> list[Path] | None:
+        """All of them, in the order in which they are drawn; None where one is to be drawn, or where that is unknown.
+
+        They are there while tables, code and looks are those of the last drawing, and nobody has changed a picture.
+        """
+        try:
+            known = json.loads(self._file.read_bytes())
+            names = [str(name) for name in known["figures"]] if known["state"] == self._state else None
+        except (OSError, ValueError, KeyError, TypeError):
+            return None
+        paths = None if names is None else [self.folder.folder / name for name in names]
+        return paths if paths is not None and all(map(is_own, paths)) else None
+
+    def forget(self) -> None:
+        """Figures are about to be drawn, of the tables as they are now; OSError where that cannot be noted."""
+        _ = self._state
+        self._file.unlink(missing_ok=True)
+
+    def note(self, figures: Sequence[Path]) -> None:
+        """These are all, drawn now; OSError where that cannot be noted."""
+        with whole(self._file) as draft:
+            draft.write_text(json.dumps({"state": self._state, "figures": [path.name for path in figures]}), "utf-8")
+
+    @property
+    def _file(self) -> Path:
+        return self.folder.folder / _FILE
+
+    @cached_property
+    def _state(self) -> str:
+        """Digest of code, looks and tables, as they are when it is first asked for: before anything is drawn."""
+        digest = hashlib.sha256(repr((drawn_by(), self.looks, sorted(self.folder.hidden))).encode())
+        for file in sorted(self.folder.folder.iterdir()):
+            if file.suffix in (".csv", ".json") and file.name != _RECORD and not file.name.startswith("."):
+                content = file.read_bytes()
+                digest.update(f"{file.name} {len(content)}\n".encode(errors="surrogateescape") + content)
+        return digest.hexdigest()
+
+
+@cache
+def drawn_by() -> str:
+    """The code that draws: that of this room, and matplotlib."""
+    return f"{code_digest('calib.report.draw', 'calib.report.figures')} {metadata.version('matplotlib')}"
