@@ -126,10 +126,11 @@ def _hung(
     """Addition of a body that moves relative to its carrier; ``blocks`` are parts of its stiffness over the upright."""
     velocities = list(velocities)
     n, added = velocities[0][0][1].shape[1], len(blocks[0][1])
+    none = np.zeros(0, dtype=int)
 
     def parts(kind: str, factor: float, own: Mapping[str, float]) -> tuple[Term, ...]:
         return tuple(
-            Term(f"{mass}: {kind} {name}", _blocks(n, own=block), _monomial(factor, powers, own))
+            Term(f"{mass}: {kind} {name}", _blocks(n, none, own=block), _monomial(factor, powers, own))
             for name, block, powers in blocks
         )
 
@@ -144,17 +145,21 @@ def _hung(
 def _mass(mass: str, velocities: Iterable[Moves], added: int) -> Iterable[Term]:
     """Terms of the kinetic energy ``sum |sum p (sqrt(m) C b' + O t')|^2/2`` over the squared sums."""
     for k, moves in enumerate(velocities):
+        n = moves[0][1].shape[1]
+        at = np.flatnonzero(np.any([np.any(c != 0, axis=0) for _, c, _ in moves], axis=0))
         for one, other in combinations_with_replacement(range(len(moves)), 2):
             (p, c, o), (q, d, t) = moves[one], moves[other]
-            n, label = c.shape[1], f"{mass}: inertia {k}{one}{other}"
+            c, d, label = c[:, at], d[:, at], f"{mass}: inertia {k}{one}{other}"
             twice = 0.5 if one == other else 1.0  # a product counts with its mirror image
             corner = twice * (c.T @ d + d.T @ c)
             cross, own = twice * (c.T @ t + d.T @ o), twice * (o.T @ t + t.T @ o)
-            yield Term(f"{label}, carried along", _blocks(n, corner, added=added), _monomial(1.0, p, q, {mass: 1.0}))
+            yield Term(
+                f"{label}, carried along", _blocks(n, at, corner, added=added), _monomial(1.0, p, q, {mass: 1.0})
+            )
             if cross.any():
-                yield Term(f"{label}, coupling", _blocks(n, cross=cross), _monomial(1.0, p, q, {mass: 0.5}))
+                yield Term(f"{label}, coupling", _blocks(n, at, cross=cross), _monomial(1.0, p, q, {mass: 0.5}))
             if own.any():
-                yield Term(f"{label}, own", _blocks(n, own=own), _monomial(1.0, p, q))
+                yield Term(f"{label}, own", _blocks(n, at, own=own), _monomial(1.0, p, q))
 
 
 def _monomial(factor: float, *powers: Mapping[str, float]) -> Monomial:
@@ -166,17 +171,21 @@ def _monomial(factor: float, *powers: Mapping[str, float]) -> Monomial:
 
 
 def _blocks(
-    n: int, corner: np.ndarray | None = None, cross: np.ndarray | None = None, own: np.ndarray | None = None,
-    added: int = 0,
+    n: int, at: np.ndarray, corner: np.ndarray | None = None, cross: np.ndarray | None = None,
+    own: np.ndarray | None = None, added: int = 0,
 ) -> sp.csr_array:  # fmt: skip
-    """Matrix over the model's degrees of freedom and those of the body, of which one block is not 0."""
+    """Matrix over the model's degrees of freedom and those of the body, of which one block is not 0.
+
+    Rows of the first two blocks are those of the model's degrees of freedom ``at``, in ascending order.
+    """
     m = added if own is None else len(own)
     m = m if cross is None else cross.shape[1]
-    filled = np.zeros((n + m, n + m))
+    filled = np.zeros((len(at) + m, len(at) + m))
     if corner is not None:
-        filled[:n, :n] = corner
+        filled[: len(at), : len(at)] = corner
     if own is not None:
-        filled[n:, n:] = own
+        filled[len(at) :, len(at) :] = own
     if cross is not None:
-        filled[:n, n:], filled[n:, :n] = cross, cross.T
-    return sp.csr_array(filled)
+        filled[: len(at), len(at) :], filled[len(at) :, : len(at)] = cross, cross.T
+    few, places = sp.coo_array(filled), np.concatenate([at, n + np.arange(m)])
+    return sp.csr_array((few.data, (places[few.row], places[few.col])), shape=(n + m, n + m))
