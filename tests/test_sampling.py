@@ -1,6 +1,5 @@
 import numpy as np
 import pytest
-from scipy.stats import qmc
 
 from calib.errors.errors import InputError
 from calib.problem.sampling import Narrow, sample
@@ -110,9 +109,3 @@ def test_nothing_to_sample_is_refused():
         sample(SPACE.keep([]), 5, seed=1)
     with pytest.raises(InputError, match="0 points"):
         sample(SPACE, 0, seed=1)
-
-
-def test_a_hypercube_is_that_of_scipy_to_the_last_digit():
-    space = ParameterSpace(tuple(Parameter(f"p{k}", 0.5, 0.0, 1.0) for k in range(5)))
-    expected = qmc.LatinHypercube(5, rng=np.random.default_rng(3)).random(40)
-    np.testing.assert_array_equal(sample(space, 40, 3).points, expected)

@@ -149,18 +149,6 @@ def _rearranged(unit: np.ndarray, matrix: np.ndarray) -> np.ndarray:
     return np.take_along_axis(np.sort(unit, axis=0), ranks, axis=0)
 
 
-def hypercube(count: int, size: int, rng: np.random.Generator) -> np.ndarray:
-    """Points of one Latin hypercube in the unit cube, (count, size).
-
-    Those of `scipy.stats.qmc.LatinHypercube`, whose package takes as long to import as a small model to train.
-    """
-    within = rng.uniform(size=(count, size))
-    cells = np.tile(np.arange(1, count + 1), (size, 1))
-    for row in cells:
-        rng.shuffle(row)
-    return (cells.T - within) / count
-
-
 def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, batch: int | None = None) -> Sample:
     """Draw points by Latin hypercube and keep those that meet the space's constraints.
 
@@ -195,14 +183,16 @@ def sample(space: ParameterSpace, count: int, seed: int | np.random.Generator, b
     if not space.free:
         raise InputError("no parameter is free", place="sample", remedy="select at least one parameter")
     space.require_feasible()
+    from scipy.stats import qmc  # slow to import, and not every command samples
+
     narrow, size, tied = Narrow.of(space), len(space.free), Correlated.of(space.free)
     columns = [space.free_names.index(name) for name in tied.names]
-    rng = np.random.default_rng(seed).spawn(1)[0]  # as SciPy does with one that it is given
+    engine = qmc.LatinHypercube(size + len(narrow.pivots), rng=np.random.default_rng(seed))
     kept: list[np.ndarray] = []
     asked = accepted = 0
     batch = batch or count
     while accepted < count:
-        unit = hypercube(batch, size + len(narrow.pivots), rng)
+        unit = engine.random(batch)
         unit[:, columns] = _rearranged(unit[:, columns], tied.matrix)
         points = narrow.filled(space.from_unit(unit[:, :size]), unit[:, size:])
         good = points[space.feasible(points)]
