@@ -25,7 +25,8 @@ def told_place(fits: Refits, found: Explanation) -> CandidateFit | None:
     - the 95 % interval of its magnitude excludes 0, and no limit holds the magnitude: a part that is "wholly lost" in
       data that hardly know of it stands in for something else;
     - it takes at least `DecisionRules.least_share` of the sum of squares of the base model, or the fit with it is
-      adequate.
+      adequate;
+    - nothing is told of an effect that explains better, by more than 20:1.
 
     None too where the base model is adequate: then there is nothing to look for.
 
@@ -38,7 +39,16 @@ def told_place(fits: Refits, found: Explanation) -> CandidateFit | None:
     place, tests = found.perturbation, found.base_adequacy
     if place is None or found.verdict not in ("partial", "none_explains") or tests.adequate(found.alpha):
         return None
+    if beyond_places(found):
+        return None
     return place if stands_out(found, place) and (takes_enough(found, place) or _fits(fits, found, place)) else None
+
+
+def beyond_places(found: Explanation) -> bool:
+    """Whether something is told of an effect that explains better than any local perturbation, by more than 20:1."""
+    if found.verdict != "partial" or found.chosen is None:
+        return False
+    return found.perturbation is None or found.chosen.ln_evidence > found.perturbation.ln_evidence + RULES.credible
 
 
 def stands_out(found: Explanation, place: CandidateFit) -> bool:

@@ -34,9 +34,11 @@ AVERAGED = (
     "These gains are averaged over the posterior of parameters and magnitudes; the range in brackets covers 8 of 10 "
     "cases."
 )
-
-
 USED = "Validation data that the fit uses no longer verify the result."
+_ROUNDING = 1e-12
+"""Share of a squared signature below which what the parameters leave of it is rounding."""
+_HARDLY_SHOWN = 1000.0
+"""A larger gain is of an effect that the present data hardly show, and its size says no more."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +120,8 @@ class ExperimentalDesign:
                 beside = cross[np.ix_(others, of)]
                 solved = la.solve(information[np.ix_(others, others)], beside, assume_a="pos")
                 absorbed[of] = np.sum(beside * solved, axis=0)
-        return np.sqrt(np.maximum(whole - absorbed, 0.0))
+        left = whole - absorbed
+        return np.sqrt(np.where(left > _ROUNDING * whole, left, 0.0))
 
     def averaged(self, values: np.ndarray) -> tuple[float, float, float]:
         """Mean over linearisations with a finite value, and the quantiles of `EIGHT_OF_TEN`; NaN where none has one."""
@@ -152,7 +155,7 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
                 gain, low, high = design.averaged(np.where(now[:, k] > 0, there[:, k] / now[:, k], np.nan))
             size = design.averaged(there[:, k])[0]
             least = RULES.detectable / size if size > 0 else math.inf
-            words = f"{measurement.name}: {gain:.2g} times the score of {name} ({low:.2g} to {high:.2g})"
+            words = f"{measurement.name}: {times(gain)} times the score of {name} ({low:.2g} to {high:.2g})"
             if competing is not None and name == competing.names[0]:
                 words = f"{measurement.name}: {_in_words(bayes_factor, competing.names)}"
             expected = (bayes_factor.mean, bayes_factor.low, bayes_factor.high, bayes_factor.chance)
@@ -171,6 +174,11 @@ def with_few_rows(table: pd.DataFrame) -> pd.DataFrame:
     if len(table) <= MANY:
         return table
     return table[table.groupby("effect", sort=False).cumcount() < KEPT].reset_index(drop=True)
+
+
+def times(gain: float) -> str:
+    """A factor on a score, such as ``2.4``."""
+    return f"more than {_HARDLY_SHOWN:g}" if gain > _HARDLY_SHOWN else f"{gain:.2g}"
 
 
 def _in_words(bayes_factor: BayesFactor, pair: tuple[str, str]) -> str:

@@ -18,6 +18,7 @@ from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.local import fault_words, local_perturbation
 from calib.missing.partial import is_simpler_form
+from calib.missing.place import beyond_places
 from calib.missing.plausible import parameter_pulls
 from calib.missing.rules import RULES
 from calib.missing.score import correlation, noise_limit
@@ -66,7 +67,8 @@ def effects_table(
     singles = {t.names[0]: t for t in found.singles if t.fit.misfit <= found.base.fit.misfit}
     if found.chosen is not None and len(found.chosen.effects) > 1:
         singles |= dict.fromkeys(found.chosen.names, found.chosen)
-    told = {*found.credible, *(found.chosen.names if found.chosen is not None and is_simpler_form(found) else ())}
+    attempted = is_simpler_form(found) or beyond_places(found)
+    told = {*found.credible, *(found.chosen.names if found.chosen is not None and attempted else ())}
     rows: list[dict[str, object]] = []
     first: dict[str, object] = {}
     shares = []

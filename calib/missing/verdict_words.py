@@ -97,7 +97,7 @@ def family_in_short(found: Explanation) -> str:
     errors += 0 if adequacy.pairs is None else adequacy.pairs.number
     tried = {"listed causes": causes, "stiffness or mass at single places": perturbations, "measurement errors": errors}
     number = sum(tried.values())
-    worst = f"{p_words(adequacy.p_fit)} ({_worst_of(adequacy)})"
+    worst = f"{p_words(adequacy.p_fit)} ({worst_of(adequacy)})"
     if not number:
         return worst
     words = names_in_words([what for what, count in tried.items() if count])
@@ -105,7 +105,7 @@ def family_in_short(found: Explanation) -> str:
     return f"{p_words(adequacy.p_family)} ({best}: {words}) and {worst}"
 
 
-def _worst_of(adequacy: AdequacyTests) -> str:
+def worst_of(adequacy: AdequacyTests) -> str:
     """The group of data whose p-value is told, in words."""
     kinds = [KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
     return f"the worst of {names_in_words(kinds)}, corrected for their number" if len(kinds) > 1 else "the data"
@@ -126,7 +126,7 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
     rest = "but what remains is more than noise" if adequacy.p_fit <= alpha else "and what remains may be noise"
     return (
         f"With {them} no further cause or place stands out ({p_words(adequacy.p_family)}), {rest} "
-        f"({p_words(adequacy.p_fit)} for {_worst_of(adequacy)}; limit {alpha:g})."
+        f"({p_words(adequacy.p_fit)} for {worst_of(adequacy)}; limit {alpha:g})."
     )
 
 
@@ -182,15 +182,16 @@ def row_of(effects: pd.DataFrame, name: str) -> pd.Series:
     return effects[effects["name"] == name].iloc[0]
 
 
-def effect_words(effects: pd.DataFrame, e: Candidate) -> str:
+def effect_words(effects: pd.DataFrame, e: Candidate, believed: bool = True) -> str:
     """An effect with its magnitude, such as ``a guy rope along x, about 12 kN/m (95 %: 10 to 14)``.
 
-    Of an effect that was not fitted, the one that it is collinear with.
+    Of an effect that was not fitted, the one that it is collinear with. One that is not believed has no interval, which
+    would hold only if it were what is missing.
     """
     row = row_of(effects, e.name)
     if not row["refitted"]:
         return f"{e.in_words}, with the change pattern of {str(row['confounded_with']).split(', ')[0]}"
-    ends = float(row["magnitude_low"]), float(row["magnitude_high"])
+    ends = (float(row["magnitude_low"]), float(row["magnitude_high"])) if believed else (math.nan, math.nan)
     return f"{e.in_words}, {magnitude_words(e.magnitude, float(row['magnitude']), *ends)}"
 
 

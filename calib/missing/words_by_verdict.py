@@ -6,10 +6,12 @@ from collections.abc import Callable, Mapping
 
 import pandas as pd
 
+from calib.missing.candidate_fit import AdequacyTests
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import p_words, where
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words
 from calib.missing.partial import is_simpler_form, magnitude_range
+from calib.missing.place import beyond_places
 from calib.missing.recommendation import as_ratio
 from calib.missing.rules import RULES
 from calib.missing.steps_table import competing_sentence, steps_sentence
@@ -32,6 +34,7 @@ from calib.missing.verdict_words import (
     row_of,
     with_in_short,
     with_words,
+    worst_of,
 )
 from calib.problem.candidate import Candidate
 
@@ -185,7 +188,7 @@ def _rest(found: Explanation) -> str:
         none = "No single place explains it. " if found.perturbation is not None else ""
         return f"{none}Give a list with further causes."
     better = bool(found.groups) and (found.chosen is None or perturbation.ln_evidence > found.chosen.ln_evidence)
-    words = "it fits better than every listed effect" if better else "it would help most"
+    words = "it fits better than every listed effect" if better else "of all single places it helps most"
     size = local_perturbation(perturbation).in_words
     return f"Look first at this place: {size}; {words}. It is a place to look at, not a cause."
 
@@ -196,14 +199,22 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     if is_simpler_form(found):
         return _nearly(found, e)
+    it = effect_words(effects, e, believed=False)
     return VerdictWords(
-        f"The model lacks something that no listed effect explains fully: {effect_words(effects, e)}, is a part of it "
-        "or stands in for something else.",
-        f"It lowers the sum of squares from {before:.0f} to {after:.0f} but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)}",
-        _rest(found),
+        f"The model lacks something that no listed effect explains fully: {it}, is a part of it or stands in for "
+        "something else.",
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, but "
+        f"{_left(found.chosen_adequacy, found.alpha)}. {misfit_in_short(found)}",
+        "Look first where it acts. No single place explains it." if beyond_places(found) else _rest(found),
         (misfit_words(found), steps_sentence(found)),
     )
+
+
+def _left(adequacy: AdequacyTests, alpha: float) -> str:
+    """Which of the two tests finds something left after a fit."""
+    if adequacy.p_family <= alpha and not adequacy.overstated:
+        return f"one more change would still gain more than noise does ({p_words(adequacy.p_family)})"
+    return f"the data still do not fit ({p_words(adequacy.p_fit)} for {worst_of(adequacy)})"
 
 
 def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
@@ -214,8 +225,8 @@ def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
     return VerdictWords(
         f"The model lacks something like {e.in_words}, but not exactly that; as it is listed it "
         f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
-        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but leaves "
-        f"{p_words(found.chosen_adequacy.p_family)}. {misfit_in_short(found)} A further, much smaller effect is "
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but "
+        f"{_left(found.chosen_adequacy, found.alpha)}. {misfit_in_short(found)} A further, much smaller effect is "
         "possible too.",
         look_for((e,)),
         (misfit_words(found), f"What is left is largest {location}." if location else "", steps_sentence(found)),
@@ -227,7 +238,7 @@ def _none(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     attempt = ""
     if found.chosen is not None:
         (e,) = found.chosen.effects
-        attempt = f"The best attempt, {effect_words(effects, e)}, is not believed: {_why_not(found)}."
+        attempt = f"The best attempt, {effect_words(effects, e, believed=False)}, is not believed: {_why_not(found)}."
     return VerdictWords(
         what, misfit_in_short(found), _rest(found), (misfit_words(found), attempt, steps_sentence(found))
     )

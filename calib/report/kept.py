@@ -6,7 +6,6 @@ Nothing here imports matplotlib, so that figures that stay as they are cost no i
 from __future__ import annotations
 
 import hashlib
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property
@@ -17,7 +16,7 @@ from calib.report.tables import CurrentFolder
 from calib.results.code_digest import code_digest
 from calib.results.written import is_own, whole
 
-_FILE = ".drawn.json"
+_FILE = "figures.sha256"
 _RECORD = "record.json"
 """The only file of results that decides no figure by all that is in it, since it tells when an analysis was made."""
 
@@ -43,12 +42,11 @@ class KeptFigures:
         They are there while tables, code and looks are those of the last drawing, and nobody has changed a picture.
         """
         try:
-            known = json.loads(self._file.read_bytes())
-            names = [str(name) for name in known["figures"]] if known["state"] == self._state else None
-        except (OSError, ValueError, KeyError, TypeError):
+            state, *names = self._file.read_text("utf-8").splitlines()
+        except (OSError, ValueError):
             return None
-        paths = None if names is None else [self.folder.folder / name for name in names]
-        return paths if paths is not None and all(map(is_own, paths)) else None
+        paths = [self.folder.folder / name for name in names]
+        return paths if state == self._state and all(map(is_own, paths)) else None
 
     def forget(self) -> None:
         """Figures are about to be drawn, of the tables as they are now; OSError where that cannot be noted."""
@@ -58,7 +56,7 @@ class KeptFigures:
     def note(self, figures: Sequence[Path]) -> None:
         """These are all, drawn now; OSError where that cannot be noted."""
         with whole(self._file) as draft:
-            draft.write_text(json.dumps({"state": self._state, "figures": [path.name for path in figures]}), "utf-8")
+            draft.write_text("\n".join([self._state, *(path.name for path in figures), ""]), "utf-8")
 
     @property
     def _file(self) -> Path:

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.missing.competing import CandidateMeasurement
-from calib.missing.recommendation import AVERAGED, COLUMNS, recommend
+from calib.missing.recommendation import AVERAGED, COLUMNS, recommend, times
 from tests.missing.measurement_designs import (
     SENSOR,
     TWICE,
@@ -110,6 +110,10 @@ def test_the_table_lists_gain_and_smallest_magnitude_best_first():
             row.words
             == f"{measurement.name}: {row.gain:.2g} times the score of {row.effect} ({row.gain:.2g} to {row.gain:.2g})"
         )
+
+
+def test_an_effect_that_the_present_data_hardly_show_has_no_number_of_times():
+    assert times(2.44) == "2.4" and times(9.7e20) == "more than 1000"
 
 
 def test_an_absorbed_effect_has_no_gain():

@@ -1,6 +1,7 @@
 """The words of each verdict, one by one."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from calib.missing.local import interval_words, local_perturbation, range_words
 from calib.missing.partial import is_simpler_form, magnitude_range
+from calib.missing.place import beyond_places
 from calib.missing.tables import effects_table
 from calib.missing.verdict import verdict_of as verdict_of
 from calib.missing.verdict_words import look_for, look_for_one_of
@@ -150,8 +152,20 @@ def test_a_partial_explanation_is_stated_as_such(cases):
     assert f"a lack of {name}, about " in text
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     assert f"lowers the sum of squares from {before:.0f} to {after:.0f}" in text and after < before
-    assert f"leaves {with_p(found.chosen_adequacy.p_family)}" in text and found.chosen_adequacy.p_family <= 0.01
+    left = f"one more change would still gain more than noise does ({with_p(found.chosen_adequacy.p_family)})"
+    assert left in text and found.chosen_adequacy.p_family <= 0.01
     assert "Look for" not in text
+    assert re.search(r"a lack of \w+, about [^(]+, is a part of it", text), "its interval would hold only if it were it"
+
+
+def test_a_partial_explanation_far_beyond_every_place_points_where_it_acts(cases):
+    found = cases["partial"]
+    assert found.perturbation is not None
+    ahead = replace(found.chosen, ln_evidence=found.perturbation.ln_evidence + 3.1)
+    beyond = replace(found, chosen=ahead, place=None)
+    assert beyond_places(beyond) and "Look first where it acts." in text_of(beyond)
+    near = replace(found, chosen=replace(ahead, ln_evidence=ahead.ln_evidence - 0.2))
+    assert not beyond_places(near) and "where it acts" not in text_of(near)
 
 
 @pytest.fixture(scope="module")

@@ -138,7 +138,7 @@ def test_a_folder_whose_picture_or_note_is_not_as_written_is_drawn(noted, damage
     elif damage == "forgotten":
         now.forget()
     else:
-        (noted.path / ".drawn.json").write_text("{")
+        (noted.path / "figures.sha256").write_text("")
     assert now.there is None
 
 
