@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 from calib.report.numbers import fixed
 from calib.report.numbers import places as listed
 from calib.report.scene import (
+    BAR,
     FOOT,
     HEADING,
     PLACE,
@@ -25,12 +26,13 @@ from calib.report.scene import (
     new_axes,
     new_scene,
     number_points,
+    over_strip,
     plot_coordinates,
     plot_lines,
     seen_size,
     show_axes,
 )
-from calib.report.style import BLACK, REST, WIDTH, YELLOW
+from calib.report.style import BLACK, REST, YELLOW, figure_width
 from calib.report.why import change_words, wrapped
 
 ALIKE = 0.5
@@ -127,14 +129,15 @@ def alike_figure(
     names = [name for name in dict.fromkeys(places["effect"]) if len(located_rows(places, name))]
     headings = [wrapped(_sentences(places, name, effects, acts, attempt)) for name in names]
     wide, high = seen_size(rest.reshape(-1, 3), 0.1)
-    panel = min(WIDTH * high / wide + 2 * HEADING, _HIGHEST)
+    panel = min(figure_width() * high / wide + 2 * HEADING, _HIGHEST)
     heights = [x for words in headings for x in (0.2 + _LINE * (words.count("\n") + 1), panel)]
-    figure = new_scene(sum(heights) + FOOT)
+    foot = FOOT + over_strip(BAR)
+    figure = new_scene(sum(heights) + foot, foot)
     grid = figure.add_gridspec(len(heights), 1, height_ratios=heights)
-    for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
+    for k, (name, words) in enumerate(zip(names, headings, strict=True)):
         over = figure.add_subplot(grid[2 * k], label="heading")
         over.set_axis_off()
-        over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
+        over.text(0.1 / figure_width(), 1.0, words, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
         draw_alike(places, rest, figure.add_subplot(grid[2 * k + 1], projection="3d"), effect=name, acts=acts)
     show_axes(figure)
     colours = ScalarMappable(CORRELATION, "RdBu_r")
@@ -142,7 +145,9 @@ def alike_figure(
     if any(len(acting(acts, name)) for name in names):
         star = Line2D([], [], linestyle="none", label="where it acts", **STAR)
         height = float(figure.get_size_inches()[1])
-        figure.legend(handles=[star], loc="lower left", bbox_to_anchor=(1.05 / WIDTH, 0.06 / height), borderaxespad=0.0)
+        figure.legend(
+            handles=[star], loc="lower left", bbox_to_anchor=(1.05 / figure_width(), 0.06 / height), borderaxespad=0.0
+        )
     return figure
 
 

@@ -18,7 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report import scene
 from calib.report.numbers import fixed, places, significant
-from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WIDTH, WITH
+from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WITH, figure_width, in_column
 from calib.report.svg import hover
 
 _DATA = {
@@ -41,6 +41,12 @@ _SENSOR: dict[str, Any] = {"marker": "o", "color": GREY, "markersize": 4}
 _LINES = {"linestyle": "none", "clip_on": False}
 _BESIDE_BARS = 64
 """Characters of a line of the legend that end before the labels of the bars."""
+_LETTERS = 50
+"""Those of one in a column."""
+_BELOW, _LABELS = 2.9, 0.85
+"""Heights in inches of the bars below the model in a column, and of the labels below them."""
+_NAME = 14
+"""Characters of a line below a bar."""
 _PLACES = 2
 """Places of effects that are written."""
 _PANEL = 0.72
@@ -186,16 +192,21 @@ def answer_figure(
         Marks with the gids ``acts``, ``alone``, ``shows`` and ``sensors``; bars with the gid of their stage.
     """
     bars = most_telling_error(errors)
-    wide = _PANEL if bars is not None else 1.0
+    narrow = in_column()
+    wide = _PANEL if bars is not None and not narrow else 1.0
     points = rest.reshape(-1, 3)
     width, high = scene.seen_size(points, 0.1)
     marks = found.marks(",\n".join(f"{one}, {sizes[one]}" if sizes.get(one) else one for one in what))
-    if bars is not None:  # whose labels stand beside
-        marks = {mark: _folded(text) for mark, text in marks.items()}
-    foot = max(0.15 + 0.2 * sum(1 + text.count("\n") for text in marks.values()), 0.8)
-    height = min(max(wide * WIDTH * high / width, 2.2), 4.6) + foot
+    if bars is not None or narrow:  # whose labels stand beside
+        marks = {mark: _folded(text, _LETTERS if narrow else _BESIDE_BARS) for mark, text in marks.items()}
+    foot = max(0.15 + 0.2 * sum(1 + text.count("\n") for text in marks.values()), 0.8) + scene.over_strip(scene.FOOT)
+    below = _BELOW if narrow and bars is not None else 0.0
+    height = min(max(wide * figure_width() * high / width, 2.2), 4.6) + foot + below
     figure = scene.new_scene(height, foot)
-    panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
+    if below:
+        panels = figure.add_gridspec(2, 1, height_ratios=(height - foot - below, below))
+    else:
+        panels = figure.add_gridspec(1, 2, width_ratios=(wide, max(1.0 - wide, 1e-3)))
     ax: Axes3D = scene.new_axes(figure.add_subplot(panels[0], projection="3d"))
     scene.plot_lines(ax, rest, color=REST, linewidth=2.0, gid="model")
     if sensors is not None:
@@ -222,21 +233,19 @@ def answer_figure(
     for handle in handles:
         handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))
     handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
-    figure.legend(
-        handles=handles, loc="lower left", bbox_to_anchor=(1.05 / WIDTH, 0.02), borderaxespad=0.0, labelspacing=0.7
-    )
+    at = (0.1 / figure_width(), scene.FOOT / height) if narrow else (1.05 / figure_width(), 0.02)
+    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=at, borderaxespad=0.0, labelspacing=0.7)
     scene.show_axes(figure)
     if bars is not None:
         above = 0.65  # inches of the title, which the panel of the model does not have
-        around = panels[1].subgridspec(
-            2, 3, width_ratios=(0.3, 1.0, 0.04), height_ratios=(above, height - foot - above)
-        )
+        free = (above, below - above - _LABELS, _LABELS) if below else (above, height - foot - above)
+        around = panels[1].subgridspec(len(free), 3, width_ratios=(0.3, 1.0, 0.04), height_ratios=free, hspace=0.0)
         _draw_pair(figure.add_subplot(around[1, 1]), bars, what)
     return figure
 
 
-def _folded(text: str) -> str:
-    return "\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, _BESIDE_BARS))
+def _folded(text: str, letters: int) -> str:
+    return "\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, letters))
 
 
 def _mark(ax: Axes3D, points: np.ndarray, gid: str, look: dict[str, Any], order: int) -> None:
@@ -246,7 +255,11 @@ def _mark(ax: Axes3D, points: np.ndarray, gid: str, look: dict[str, Any], order:
 def _draw_pair(ax: Axes, bars: pd.DataFrame, what: Sequence[str]) -> None:
     """One pair of bars, and lines at what a correct model would reach with this noise."""
     values, expected = (bars[name].to_numpy(dtype=float) for name in ("rms", "expected"))
-    without, with_it = ("without\nthem", "with\nthem") if len(what) > 1 else ("\n".join(["without", *what]), "with it")
+    without, with_it = (
+        ("without\nthem", "with\nthem")
+        if len(what) > 1
+        else ("\n".join(["without", *(textwrap.fill(one, _NAME) for one in what)]), "with it")
+    )
     for k, (stage, colour, label) in enumerate((("before", AFTER, "without"), ("after", WITH, with_it))):
         (bar,) = ax.bar([k], [values[k]], 0.62, color=colour, gid=stage)
         hover(bar, f"{' '.join(label.split())}: {fixed(values[k], 2)} σ")

@@ -17,6 +17,7 @@ from matplotlib.axis import Axis
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from matplotlib.transforms import Bbox
+from mpl_toolkits.mplot3d.art3d import Text3D
 
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
@@ -26,6 +27,7 @@ from calib.report.kept import drawn_by
 from calib.report.scene import upright
 from calib.report.style import (
     COLUMN,
+    HIGHEST,
     Format,
     Width,
     add_heading,
@@ -155,7 +157,7 @@ class Figures:
         formats : sequence of str
             Of `calib.report.style.FORMATS`.
         width : {"page", "column"}
-            Width of the figures; one that is not legible in a column is as wide as a page.
+            Width of the figures; one that is not legible in a column, or higher than a page, is as wide as a page.
         progress : callable
             Called before every figure.
 
@@ -205,12 +207,13 @@ class Figures:
         return self._figures.pop(drawing.name) if drawing.name in self._figures else drawing.draw()
 
     def _narrow(self, drawing: Drawing) -> Figure | None:
-        """The figure in a column; None where that is not legible."""
+        """The figure in a column; None where that is not legible or higher than a page."""
         with style(COLUMN), upright(self.axes):
             figure = self._headed(drawing.draw(), drawing.caption)
             wrap_labels(figure)
             fit_cells(figure)
-            return figure if figure.get_size_inches()[0] == COLUMN and is_legible(figure) else None
+            width, height = figure.get_size_inches().tolist()
+            return figure if width == COLUMN and height <= HIGHEST and is_legible(figure) else None
 
     def _headed(self, figure: Figure, caption: str) -> Figure:
         add_heading(figure, f"{self.title}: {caption}" if self.title else caption, self.synthetic)
@@ -247,7 +250,8 @@ def is_legible(figure: Figure) -> bool:
     texts = [text for text in visible_texts(figure) if _is_visible(text)]
     if figure.get_size_inches()[0] <= COLUMN and any(float(text.get_fontsize()) < _SMALLEST for text in texts):
         return False
-    boxes = _boxes(text for text in texts if not any(text is label for label in beyond))
+    flat = [text for text in texts if not isinstance(text, Text3D)]  # those in space have no place in the figure
+    boxes = _boxes(text for text in flat if not any(text is label for label in beyond))
     if not all(whole.containsx(box.x0) and whole.containsx(box.x1) for box in boxes):
         return False
     return not any(_cover_each_other(_boxes(group)) for ax in panels for group in _groups(ax))
@@ -315,7 +319,8 @@ def _groups(ax: Axes) -> list[list[Text]]:
 
 
 def _boxes(texts: Iterable[Text]) -> list[Bbox]:
-    return [text.get_window_extent() for text in texts]
+    """The frames of texts, without the lines that lead from them to a place."""
+    return [Text.get_window_extent(text) for text in texts]
 
 
 def _cover_each_other(boxes: list[Bbox]) -> bool:

@@ -16,7 +16,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report import scene
 from calib.report.mesh import FACE, LINE, MeshTables, draw_pieces, pieces, point_coordinates, seen_places
-from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, WIDTH, YELLOW
+from calib.report.style import BLACK, GREEN, GREY, MEASURED, ORANGE, PURPLE, SKY, YELLOW, figure_width, in_column
 
 OTHER_LINES = "lines"
 """Group of lines that belong to no set."""
@@ -131,13 +131,12 @@ def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None, forces: 
     if forces is not None:
         handles.append(Line2D([], [], label=f"excited ({len(forces)})", **_FORCE))
     wide, high = scene.seen_size(rest, 0.06 * float(np.linalg.norm(np.ptp(rest, axis=0))))
-    foot = max(scene.FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST))
-    figure = scene.new_scene(min(WIDTH * high / wide, 6.0) + foot, foot)
+    foot, abreast = max(scene.FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST)), _ABREAST
+    if in_column():
+        foot, abreast = scene.FOOT + 0.2 * len(handles), 1
+    figure = scene.new_scene(min(figure_width() * high / wide, 6.0) + foot, foot)
     draw_model(mesh, sensors, figure.add_subplot(projection="3d"), forces)
-    low = 0.34 / float(figure.get_size_inches()[1])
-    figure.legend(
-        handles=handles, loc="lower right", bbox_to_anchor=(0.99, low), ncols=_ABREAST, borderaxespad=0.0
-    )  # fmt: skip
+    scene.legend_in_foot(figure, handles, abreast, 0.34)
     scene.show_axes(figure)
     scene.write_size(figure, rest)
     return figure

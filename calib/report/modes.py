@@ -31,7 +31,7 @@ from calib.report.mesh import (
     point_coordinates,
     thickness,
 )
-from calib.report.style import REST
+from calib.report.style import REST, in_column
 
 PANELS = 8
 """Largest number of modes in one figure."""
@@ -137,7 +137,7 @@ def draw_model_mode(
     edges = np.where(kind == BORDER, to_rgba(_BORDER), colours)
     scene.plot_lines(ax, rest[shown.strokes], color=REST, linewidth=0.5, gid="undeformed", zorder=1)
     draw_pieces(ax, moved[shown.corners], shown.kind, faces, edges, _WIDTHS[shown.kind], "deformed")
-    scene.frame_panel(ax, np.concatenate([rest[seen], moved[seen]]), title)
+    scene.frame_panel(ax, np.concatenate([rest[seen], moved[seen]]), title, _lines())
     return ax
 
 
@@ -155,7 +155,9 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
     parts, rest = pieces(mesh), point_coordinates(mesh)
     all_seen = rest[np.unique(parts.corners)]
     axis = int(np.argmax(np.ptp(all_seen, axis=0)))
-    figure, cells = scene.panel_grid(len(modes), all_seen, thickness(mesh))
+    figure, cells = scene.panel_grid(
+        len(modes), all_seen, thickness(mesh), foot=scene.FOOT + scene.over_strip(scene.BAR), lines=_lines()
+    )
     for row, cell in zip(modes.to_dict("records"), cells, strict=True):
         rows = deflection[deflection["mode"] == row["mode"]]
         motion = motions(mesh, rows)
@@ -170,7 +172,7 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
             if len(looks) > 1:
                 middle = (rest[seen[k], axis].min() + rest[seen[k], axis].max()) / 2
                 words = f"at {'xyz'[axis]} = {middle:.1f} m".replace("-", "−")
-                _write_over(ax, words, -13.0)
+                _write_over(ax, words, -24.0 if in_column() else -13.0)
         _write_title(figure, cell, row)
     scene.show_axes(figure)
     scene.write_size(figure, all_seen)
@@ -178,6 +180,11 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
         figure, ScalarMappable(Normalize(0.0, 1.0), AMPLITUDE), "amplitude over the largest of the mode (–)"
     )
     return figure
+
+
+def _lines() -> int:
+    """Lines of the title of a panel."""
+    return 2 if in_column() else 1
 
 
 def _box(rest: np.ndarray, corners: np.ndarray) -> np.ndarray:
@@ -190,7 +197,7 @@ def _write_title(figure: Figure, cell: SubplotSpec, row: dict[Hashable, Any]) ->
     """Write name, damped frequency and damping above a cell, however many views it has."""
     ax = figure.add_subplot(cell, label="title")
     ax.set_axis_off()
-    words = f"{row['mode']}   {row['damped_freq']:.2f} Hz"
+    words = str(row["mode"]) + ("\n" if in_column() else "   ") + f"{row['damped_freq']:.2f} Hz"
     words += "" if not row["damping_ratio"] > 0.0 else f"   damping {100.0 * row['damping_ratio']:.1f} %"
     _write_over(ax, words)
 

@@ -22,7 +22,7 @@ from scipy.spatial import cKDTree
 from calib.report import scene
 from calib.report.mesh import FACE, MeshTables, pieces, point_coordinates, seen_places
 from calib.report.numbers import counted
-from calib.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, REST, VERMILLION, WIDTH
+from calib.report.style import BLUE, GREEN, GREY, ORANGE, PURPLE, REST, VERMILLION, figure_width
 
 _SPRING = Path([(0, -1), (0, -0.65), (0.5, -0.5), (-0.5, -0.2), (0.5, 0.1), (-0.5, 0.4), (0, 0.6), (0, 1)])
 _CUP, _ROD = [(-0.5, 0.1), (-0.5, -0.5), (0.5, -0.5), (0.5, 0.1)], [(0, -0.5), (0, -1)]
@@ -149,11 +149,12 @@ def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
     forms = [form for form in MARKS if ((table["form"] == form) & (~fixed | (form == "support"))).any()]
     shown = [f"{k}  {name}: {_forms_of(table, name)}" for name, k in keys.items()]
     room = _LETTER * max(map(len, shown), default=0) + 0.1
-    columns = max(1, min(_COLUMNS, int((WIDTH - 0.2) / room)))
+    columns = max(1, min(_COLUMNS, int((figure_width() - 0.2) / room)))
     rows = math.ceil(len(keys) / columns)
-    foot = scene.FOOT + 0.17 * rows + 0.1
+    foot = scene.FOOT + 0.17 * rows + 0.1 + scene.over_strip(0.45)
     wide, high = scene.seen_size(rest, 0.1 * float(np.linalg.norm(np.ptp(rest, axis=0))))
-    heights = [min(WIDTH * high / wide, 5.6), *([_INSET] if knots else [])]
+    inset = min(_INSET, figure_width() / max(len(knots), 1))
+    heights = [min(figure_width() * high / wide, 5.6), *([inset] if knots else [])]
     figure = scene.new_scene(sum(heights) + foot, foot)
     height = float(figure.get_size_inches()[1])
     grid = figure.add_gridspec(len(heights), max(len(knots), 1), height_ratios=heights)
@@ -168,8 +169,8 @@ def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
     for column in range(columns):
         lines = shown[column * rows : (column + 1) * rows]
         figure.text(
-            (0.15 + column * (WIDTH - 0.2) / columns) / WIDTH, (foot - 0.05) / height, "\n".join(lines), va="top",
-            fontsize=8.5, linespacing=1.3,
+            (0.15 + column * (figure_width() - 0.2) / columns) / figure_width(), (foot - 0.05) / height,
+            "\n".join(lines), va="top", fontsize=8.5, linespacing=1.3,
         )  # fmt: skip
     handles = [Line2D([], [], linestyle="none", label=_WORDS[form], **MARKS[form]) for form in forms]
     if (fixed & (table["form"] != "support")).any():
@@ -184,9 +185,7 @@ def places_figure(mesh: MeshTables, table: pd.DataFrame) -> Figure:
                 label="no parameter (grey)",
             )
         )
-    figure.legend(
-        handles=handles, loc="lower right", bbox_to_anchor=(0.99, 0.06 / height), ncols=3, borderaxespad=0.0
-    )  # fmt: skip
+    scene.legend_in_foot(figure, handles, 3)
     scene.show_axes(figure)
     scene.write_size(figure, rest)
     return figure

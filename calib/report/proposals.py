@@ -15,7 +15,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report import scene
 from calib.report.numbers import counted, fixed, flag
-from calib.report.style import BLUE, REST, WIDTH
+from calib.report.style import BLUE, REST, figure_width, in_column
 
 BEST = 3
 """Proposals that are drawn in any case; of the others those that are as good as the first one."""
@@ -88,12 +88,19 @@ def proposals_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
         lines.append(f"□  {counted(len(like), 'composition')} like the first, which these data cannot discriminate")
     points = np.concatenate([rest.reshape(-1, 3), rows[scene.PLACE].to_numpy(dtype=float)])
     wide, high = scene.seen_size(points, scene.largest_drawn(points))
-    foot = scene.FOOT + 0.25 + 0.15 * len(lines)
-    figure = scene.new_scene(min(WIDTH * high / wide + 2 * scene.HEADING, 4.4) + foot, foot)
+    foot = scene.FOOT + scene.over_strip(scene.BAR) + 0.25 + 0.15 * len(lines)
+    figure = scene.new_scene(min(figure_width() * high / wide + 2 * scene.HEADING, 4.4) + foot, foot)
     draw_proposals(table, rest, figure.add_subplot(projection="3d"))
     scene.show_axes(figure)
     height = float(figure.get_size_inches()[1])
-    figure.text(1.0 / WIDTH, (foot - 0.05) / height, "\n".join(lines), fontsize=8.5, va="top", linespacing=1.25)
+    figure.text(
+        (0.1 if in_column() else 1.0) / figure_width(),
+        (foot - 0.05) / height,
+        "\n".join(lines),
+        fontsize=8.5,
+        va="top",
+        linespacing=1.25,
+    )
     scene.colour_bar(
         figure, ScalarMappable(Normalize(0.0, _largest(table)), "YlOrRd"), "evidence less ln of the choices"
     )
@@ -108,6 +115,6 @@ def _in_words(row: Mapping[Hashable, Any]) -> list[str]:
     """Rank, kind, place and evidence of a proposal, on as many lines as needed."""
     equal = ", as good as the first" if flag(row["close"]) and row["rank"] > 1 else ""
     words = f"{row['kind']}: {row['at']}"
-    text = textwrap.wrap(words, _WIDE, max_lines=_MOST_LINES, placeholder=" …")
+    text = textwrap.wrap(words, _WIDE - 16 * in_column(), max_lines=_MOST_LINES, placeholder=" …")
     first, *others = (*text[:-1], f"{text[-1]} ({fixed(row['evidence'], 1)}{equal})")
     return [f"{row['rank']:.0f}  {first}", *(f"    {line}" for line in others)]

@@ -12,7 +12,7 @@ from calib.report.style import in_column
 
 _LINE = 0.15
 """Height in inches of a line of words in a column."""
-_MARKS = 0.26
+_MARKS = 0.23
 """Height in inches of the marks of a row below its name."""
 
 

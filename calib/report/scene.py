@@ -7,9 +7,10 @@ import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextvars import ContextVar
-from typing import cast
+from typing import Any, cast
 
 import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -17,7 +18,7 @@ from matplotlib.gridspec import SubplotSpec
 from mpl_toolkits.mplot3d.axes3d import Axes3D
 from mpl_toolkits.mplot3d.proj3d import proj_transform
 
-from calib.report.style import BLACK, DENSE, DPI, WIDTH
+from calib.report.style import BLACK, DENSE, DPI, figure_width, in_column
 from calib.report.svg import hover
 
 PLACE = ["x", "y", "z"]
@@ -25,6 +26,12 @@ FOOT = 0.8
 """Height in inches of the strip for legends below the panels."""
 HEADING = 0.2
 """Height in inches of the title above a panel."""
+_SECOND = 0.14
+"""Height in inches of its second line."""
+BAR = 0.55
+"""Height in inches of a colour bar with its label, which in a column stands over that strip."""
+_MANY_ROWS = 5
+"""Panels of a long low structure up to which each is as wide as a column."""
 _ELEVATION, _AZIMUTH = 24.0, -58.0
 _FILLED = 0.94
 _LOW = 0.45
@@ -44,6 +51,11 @@ _BEYOND = 0.07
 """Length of the arrow to a side over the diagonal of the model."""
 _BESIDE = np.array([4.0, 7.0])
 """Points between an arrow and the name of its side, across and up."""
+
+
+def over_strip(height: float) -> float:
+    """Height in inches that a foot needs for what a page has room for at the right of the axes."""
+    return height if in_column() else 0.0
 
 
 @contextlib.contextmanager
@@ -163,7 +175,7 @@ def frame_scene(ax: Axes3D, points: np.ndarray, heading: float = 0.0) -> None:
 
 def new_scene(height: float, foot: float = FOOT) -> Figure:
     """Return an empty figure whose panels fill it above a foot, both heights in inches."""
-    figure = Figure(figsize=(WIDTH, height), dpi=DPI)
+    figure = Figure(figsize=(figure_width(), height), dpi=DPI)
     figure.subplots_adjust(left=0.0, right=1.0, top=1.0, bottom=foot / height, wspace=0.0, hspace=0.0)
     return figure
 
@@ -200,9 +212,11 @@ def draw_dots(ax: Axes3D, points: np.ndarray, values: np.ndarray, norm: Normaliz
     ax.scatter(*plot_coordinates(points).T, c=values, s=area, cmap=colours, norm=norm, gid=gid, **looks)
 
 
-def frame_panel(ax: Axes3D, points: np.ndarray, title: str) -> None:
-    """Fill the panel with the view of points (n, 3), in metres, and write the title above it."""
-    frame_scene(ax, plot_coordinates(points) if len(points) else np.zeros((1, 3)), heading=HEADING)
+def frame_panel(ax: Axes3D, points: np.ndarray, title: str, lines: int = 1) -> None:
+    """Fill the panel below so many lines with the view of points (n, 3), in metres, and write the title above it."""
+    frame_scene(
+        ax, plot_coordinates(points) if len(points) else np.zeros((1, 3)), heading=HEADING + _SECOND * (lines - 1)
+    )
     ax.text2D(0.5, 1.0, title, transform=ax.transAxes, ha="center", va="top", fontsize=8.5)
 
 
@@ -280,22 +294,31 @@ def seen_size(points: np.ndarray, room: float) -> tuple[float, float]:
 
 
 def panel_grid(
-    count: int, points: np.ndarray, thickness: float = math.inf, *, pairs: bool = False
+    count: int,
+    points: np.ndarray,
+    thickness: float = math.inf,
+    *,
+    pairs: bool = False,
+    foot: float = FOOT,
+    lines: int = 1,
 ) -> tuple[Figure, list[SubplotSpec]]:
-    """Return a figure with cells for panels that all show the same moving points (n, 3), above a foot.
+    """Return a figure with cells for panels that all show the same moving points (n, 3), with titles, above a foot.
 
     Long low structures take two columns, others three, so that the structure stays large; ``pairs`` of panels stand
-    beside each other, of other structures two in a row. For the thickness see `largest_drawn`.
+    beside each other, of other structures two in a row. A column of a page has room for one or two abreast. For the
+    thickness see `largest_drawn`.
     """
     wide, high = seen_size(points, 2 * largest_drawn(points, thickness))
     columns = 1 if count == 1 else 2 if count in (2, 4) or high < _LOW * wide else 3
     if pairs:
         columns = 2 if count == 2 or high < _LOW * wide else 4
+    if in_column():
+        columns = 1 if count == 1 or (not pairs and high < _LOW * wide and count <= _MANY_ROWS) else 2
     rows = math.ceil(count / columns)
-    panel = WIDTH / columns
+    panel = figure_width() / columns
     # The square of a 3-D panel starts at its top edge only while the panel is not taller than wide.
-    height = rows * min(panel * max(high / wide, 0.3) + 2 * HEADING, panel) + FOOT
-    figure = new_scene(height)
+    height = rows * min(panel * max(high / wide, 0.3) + 2 * (HEADING + _SECOND * (lines - 1)), panel) + foot
+    figure = new_scene(height, foot)
     grid = figure.add_gridspec(rows, columns)
     return figure, [grid[k // columns, k % columns] for k in range(count)]
 
@@ -303,7 +326,10 @@ def panel_grid(
 def show_axes(figure: Figure) -> None:
     """Draw the directions of the axes in the lower left corner."""
     height = float(figure.get_size_inches()[1])
-    corner = cast(Axes3D, figure.add_axes((0.1 / WIDTH, 0.04 / height, 0.75 / WIDTH, 0.68 / height), projection="3d"))
+    corner = cast(
+        Axes3D,
+        figure.add_axes((0.1 / figure_width(), 0.04 / height, 0.75 / figure_width(), 0.68 / height), projection="3d"),
+    )
     arrows = np.eye(3)
     plot_lines(corner, np.stack([0.0 * arrows, arrows], axis=1), color=BLACK, linewidth=1.0)
     for name, (x, y, z) in zip("xyz", plot_coordinates(1.35 * arrows), strict=True):
@@ -312,14 +338,23 @@ def show_axes(figure: Figure) -> None:
 
 
 def colour_bar(figure: Figure, colours: ScalarMappable, label: str, ticks: Sequence[float] | None = None) -> None:
-    """Draw a colour bar in the lower right corner, by default with ticks where Matplotlib puts them."""
-    height = float(figure.get_size_inches()[1])
-    ax = figure.add_axes((1.0 - 3.1 / WIDTH, 0.5 / height, 2.9 / WIDTH, 0.12 / height), label="colours")
+    """Draw a colour bar in the lower right corner, in a column over the axes; by default with Matplotlib's ticks."""
+    width, height = figure.get_size_inches().tolist()
+    low = (FOOT + 0.4 if in_column() else 0.5) / height
+    ax = figure.add_axes((1.0 - 3.1 / width, low, 2.9 / width, 0.12 / height), label="colours")
     figure.colorbar(colours, cax=ax, orientation="horizontal", label=label, ticks=ticks)
+
+
+def legend_in_foot(figure: Figure, handles: Sequence[Artist], abreast: int, low: float = 0.06, **looks: Any) -> None:
+    """Put a legend in the lower right corner, so high in inches; in a column over the axes."""
+    width, height = figure.get_size_inches().tolist()
+    at = (0.1 / width, FOOT / height) if in_column() else (0.99, low / height)
+    corner: Any = "lower left" if in_column() else "lower right"
+    figure.legend(handles=handles, loc=corner, bbox_to_anchor=at, ncols=abreast, borderaxespad=0.0, **looks)
 
 
 def write_size(figure: Figure, points: np.ndarray) -> None:
     """Write the size of the box around points (n, 3), in metres, beside the directions of the axes."""
     size = " × ".join(f"{s:.3g}" for s in np.ptp(points, axis=0))
     height = float(figure.get_size_inches()[1])
-    figure.text(1.05 / WIDTH, 0.09 / height, f"model {size} m (x × y × z)", fontsize=8.5, va="bottom")
+    figure.text(1.05 / figure_width(), 0.09 / height, f"model {size} m (x × y × z)", fontsize=8.5, va="bottom")

@@ -140,7 +140,8 @@ def mode_shapes_figure(
     modes = list(dict.fromkeys(shapes["mode"]))
     rest = seen_places(mesh)
     everything = np.concatenate([rest, shapes[scene.PLACE].dropna().to_numpy(dtype=float)])
-    figure, cells = scene.panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True)
+    foot = scene.FOOT + scene.over_strip(0.3)
+    figure, cells = scene.panel_grid(2 * len(modes), everything, thickness(mesh), pairs=True, foot=foot)
     facts = {} if comparison is None else {str(row["mode"]): row for row in comparison.to_dict("records")}
     for mode, left, right in zip(modes, cells[::2], cells[1::2], strict=True):
         found, (test, model) = shapes[shapes["mode"] == mode], _panel_titles(mode, facts)
@@ -160,16 +161,7 @@ def mode_shapes_figure(
     if expanded is not None and len(expanded):
         handles[-1].set_linestyle("none")
         handles.append(Line2D([], [], color=MEASURED, linewidth=1.6, label="expanded"))
-    low = 0.06 / float(figure.get_size_inches()[1])
-    figure.legend(
-        handles=handles,
-        loc="lower right",
-        bbox_to_anchor=(0.99, low),
-        ncols=len(handles),
-        borderaxespad=0.0,
-        columnspacing=1.2,
-        handlelength=1.6,
-    )
+    scene.legend_in_foot(figure, handles, len(handles), columnspacing=1.2, handlelength=1.6)
     return figure
 
 

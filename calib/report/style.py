@@ -51,6 +51,8 @@ WIDTH = 190.0 / 25.4
 """Width of a figure in inches: 190 mm, that of a journal's page (two columns), so that text prints at its own size."""
 COLUMN = 90.0 / 25.4
 """Width in inches of one of the two columns."""
+HIGHEST = 240.0 / 25.4
+"""Height in inches of a page."""
 Width: TypeAlias = Literal["page", "column"]
 WIDTHS: dict[Width, float] = {"page": WIDTH, "column": COLUMN}
 _width: ContextVar[float] = ContextVar("width", default=WIDTH)
@@ -108,7 +110,7 @@ SMALLER: Any = {
 def style(width: float = WIDTH) -> Iterator[None]:
     """Apply the settings of the figures on top of Matplotlib's defaults, not of the user's own file.
 
-    New figures have that width, in inches; those of the model in space are always as wide as a page.
+    New figures have that width, in inches.
     """
     before = _width.set(width)
     with matplotlib.rc_context():
@@ -206,6 +208,11 @@ def added(stage: str, name: str = "") -> str:
 def plain(value: float) -> str:
     """Format with four significant digits, without an exponent where that stays readable."""
     return f"{value:.0f}" if 1e4 <= abs(value) < 1e7 else f"{value:.4g}"
+
+
+def figure_width() -> float:
+    """Width of new figures in inches."""
+    return _width.get()
 
 
 def in_column() -> bool:

@@ -20,7 +20,7 @@ from calib.report import scene
 from calib.report.numbers import fixed
 from calib.report.numbers import place as place_of
 from calib.report.shapes import measured_motions
-from calib.report.style import BLUE, GREY, REST, VERMILLION, WIDTH
+from calib.report.style import BLUE, GREY, REST, VERMILLION, figure_width, in_column
 
 PERTURBATION_KINDS = ("stiffness", "damping", "mass")
 
@@ -160,9 +160,10 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
     worst = sorted(by_mode, key=lambda mode: -np.nan_to_num(_rms(by_mode[mode])))[:3]
     points = _everything(rest, rows)
     wide, high = scene.seen_size(points, scene.largest_drawn(points))
-    upper = min(WIDTH * high / wide + 2 * scene.HEADING, 4.4)
-    lower = min(WIDTH / 3 * high / wide + 2 * scene.HEADING, WIDTH / 3) if worst else 0.0
-    figure = scene.new_scene(upper + lower + scene.FOOT)
+    upper = min(figure_width() * high / wide + 2 * scene.HEADING, 4.4)
+    lower = min(figure_width() / 3 * high / wide + 2 * scene.HEADING, figure_width() / 3) if worst else 0.0
+    foot = scene.FOOT + scene.over_strip(scene.BAR + 0.65)
+    figure = scene.new_scene(upper + lower + foot, foot)
     grid = figure.add_gridspec(2 if worst else 1, 3, height_ratios=[upper, lower] if worst else None)
     main = draw_sensor_misfit(table, rest, figure.add_subplot(grid[0, :], projection="3d"), stage=stage)
     shown = [by_mode[mode] for mode in worst]
@@ -178,12 +179,14 @@ def sensor_misfit_figure(table: pd.DataFrame, rest: np.ndarray, *, stage: str = 
             Line2D([], [], color=VERMILLION, marker="o", markersize=3.5, linewidth=0.9, label="real part"),
             Line2D([], [], color=BLUE, marker="s", markersize=3.5, linewidth=0.9, label="imaginary part"),
         ]
-        legend = figure.legend(handles=handles, loc="lower left", bbox_to_anchor=(0.95 / WIDTH, 0.02 / height))
+        at = (0.0, (scene.FOOT + scene.BAR) / height) if in_column() else (0.95 / figure_width(), 0.02 / height)
+        legend = figure.legend(handles=handles, loc="lower left", bbox_to_anchor=at)
         legend.set_title(f"arrows: longest {longest:.1f} σ", FontProperties(size=8.5))
         legend.set_alignment("left")
     worst_sensors = sensor_rms(rows).head(3).itertuples()
     words = [f"{n}  {row.sensor}: {row.rms:.1f} σ" for n, row in enumerate(worst_sensors, start=1)]
-    figure.text(3.0 / WIDTH, 0.1 / height, "\n".join(["worst sensors:", *words]), fontsize=8.5, va="bottom")
+    left = (1.05 if in_column() else 3.0) / figure_width()
+    figure.text(left, 0.1 / height, "\n".join(["worst sensors:", *words]), fontsize=8.5, va="bottom")
     (dots,) = main.collections
     scene.colour_bar(figure, cast(ScalarMappable, dots), "rms over the modes (σ; noise alone: about 1)")
     return figure
@@ -271,14 +274,16 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     # A long low structure is shown best with the panels above one another.
     columns = 1 if high < 0.28 * wide or len(kinds) == 1 else min(len(kinds), 2)
     count = math.ceil(len(kinds) / columns)
-    panel = WIDTH / columns
+    panel = figure_width() / columns
     best = best_perturbations(table)
     named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
     heading = "largest scores (γ: not explained):"
     words = "\n".join([heading, *named]) if named else "no local stiffness or mass change has a score"
     words += "\n×  explained by parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
-    foot = scene.FOOT + (0.0 if count * columns > len(kinds) else 0.1 + 0.15 * (words.count("\n") + 1))
+    free = count * columns > len(kinds) and not in_column()
+    strip = scene.FOOT + scene.over_strip(scene.BAR)
+    foot = strip + (0.0 if free else 0.1 + 0.15 * (words.count("\n") + 1))
     figure = scene.new_scene(count * min(panel * high / wide + 3 * scene.HEADING, panel, 4.4) + foot, foot)
     grid = figure.add_gridspec(count, columns)
     limit = score_limit(table)
@@ -287,7 +292,8 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
         draw_perturbations(table, rest, ax, kind=kind, limit=limit, best=best)
     scene.show_axes(figure)
     height = float(figure.get_size_inches()[1])
-    figure.text(4.5 / WIDTH, (scene.FOOT + 0.02) / height, words, fontsize=8.5, va="bottom")
+    left = (0.1 if in_column() else 4.5) / figure_width()
+    figure.text(left, (strip + 0.02) / height, words, fontsize=8.5, va="bottom")
     colours = ScalarMappable(Normalize(-limit, limit), "RdBu_r")
     noise = f"; noise alone: within ±{fixed(table['limit'].iloc[0], 1)}" if len(table) else ""
     scene.colour_bar(figure, colours, f"score z (–{noise})")

@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.scene import new_scene
-from calib.report.style import AFTER, BLACK, DENSE, GREY, WIDTH, WITH, legend_above, own_axes
+from calib.report.style import AFTER, BLACK, DENSE, GREY, WITH, figure_width, in_column, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 from calib.results.answer import in_prose
 
@@ -220,14 +220,16 @@ def why_figure(
     shares = by_test is None
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
-    foot = 0.4
-    figure = new_scene(len(names) * (top + _PANEL + below) + foot, foot)
-    grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, _PANEL, below] * len(names))
+    handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
+    foot = 0.2 * len(handles) + 0.1 if in_column() else 0.4
+    panel = _PANEL * 2 + _GAP if in_column() and shapes and len(bars) else _PANEL
+    figure = new_scene(len(names) * (top + panel + below) + foot, foot)
+    grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, panel, below] * len(names))
     for k, (name, heading) in enumerate(zip(names, headings, strict=True)):
         own = table[table["effect"] == name]
         over = figure.add_subplot(grid[3 * k], label="heading")
         over.set_axis_off()
-        over.text(0.1 / WIDTH, 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
+        over.text(0.1 / figure_width(), 1.0, heading, transform=over.transAxes, fontsize=8.5, va="top", linespacing=1.3)
         cells = _cells(grid[3 * k + 1], not bars.empty, shapes)
         if "bars" in cells:
             _draw_kinds(figure, cells["bars"], own[own.index.isin(bars.index)], attempt, shares)
@@ -236,14 +238,16 @@ def why_figure(
             title = _explained(rows, MANY[str(rows["kind"].iloc[0])], shares)
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(title)
     height = float(figure.get_size_inches()[1])
-    handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
-    place = (0.1 / WIDTH, 0.06 / height)
-    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=len(handles), borderaxespad=0.0)
+    abreast = 1 if in_column() else len(handles)
+    place = (0.1 / figure_width(), 0.06 / height)
+    figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=abreast, borderaxespad=0.0)
     return figure
 
 
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
+_GAP = 0.9
+"""Height in inches between those that stand over each other in a column, for labels and a title."""
 _RESIDUAL: dict[str, Any] = {"facecolor": AFTER, "alpha": 0.4}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
 
@@ -304,8 +308,8 @@ def change_words(name: str, effects: pd.DataFrame | None, attempt: bool) -> str:
 
 
 def wrapped(sentences: Sequence[str]) -> str:
-    """Lines over a panel that is as wide as the page."""
-    return "\n".join(textwrap.fill(line, 112, subsequent_indent="    ") for line in sentences)
+    """Lines over a panel that is as wide as the figure."""
+    return "\n".join(textwrap.fill(line, 54 if in_column() else 112, subsequent_indent="    ") for line in sentences)
 
 
 def _heading(
@@ -323,10 +327,15 @@ def _heading(
 
 
 def _cells(spec: SubplotSpec, bars: bool, shapes: bool) -> dict[str, SubplotSpec]:
-    """Cells of the panels of one effect; empty columns between them hold the labels."""
+    """Cells of the panels of one effect, over each other in a column; empty columns between them hold the labels."""
     label, end = 0.6, 0.1
+    if in_column():
+        heights = [_PANEL, _GAP, _PANEL] if bars and shapes else [_PANEL]
+        ratios = [label, figure_width() - label - end, end]
+        over = spec.subgridspec(len(heights), 3, width_ratios=ratios, height_ratios=heights, wspace=0.0, hspace=0.0)
+        return {**({"bars": over[0, 1]} if bars else {}), **({"shapes": over[len(heights) - 1, 1]} if shapes else {})}
     beside = {"labels": 0.65, "shapes": 2.4} if shapes else {}
-    rest = WIDTH - label - end - sum(beside.values())
+    rest = figure_width() - label - end - sum(beside.values())
     widths = {"label": label, **({"bars": rest} if bars else {}), **beside, "end": end if bars else end + rest}
     grid = spec.subgridspec(1, len(widths), width_ratios=list(widths.values()), wspace=0.0)
     return {name: grid[0, k] for k, name in enumerate(widths) if name in ("bars", "shapes")}

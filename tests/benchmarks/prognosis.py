@@ -111,7 +111,8 @@ def _openturns(known: Known, points: pd.DataFrame, response: pd.DataFrame) -> Ca
     chooses = ot.LeastSquaresMetaModelSelectionFactory(ot.LARS(), ot.CorrectedLeaveOneOut())
     found = []
     for norm in NORMS:
-        numbered = ot.HyperbolicAnisotropicEnumerateFunction(count, norm)
+        bounded = ot.HyperbolicAnisotropicEnumerateFunction
+        numbered = bounded(count, norm) if norm < 1.0 else ot.LinearEnumerateFunction(count)
         sizes = [numbered.getBasisSizeFromTotalDegree(1)]
         while sizes[-1] <= TERMS and len(sizes) < DEGREE:  # those of many inputs take minutes to count
             sizes.append(numbered.getBasisSizeFromTotalDegree(len(sizes) + 1))

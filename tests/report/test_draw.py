@@ -314,11 +314,15 @@ def test_missing_characters_are_noted_in_the_picture_and_powers_stay_powers(tmp_
 def test_in_a_column_a_figure_that_is_not_legible_there_stays_as_wide_as_a_page(folder, saved, figures):
     if figures != ALL:
         keep_only(folder, *figures, "mesh_points", "mesh_elements", "shapes_after")
+    table = pd.read_csv(folder / "mac_before.csv")
+    long = [f"{k} {'a name that leaves no room for the matrix ' * 3}" for k in range(len(table))]
+    table.assign(mode=long).to_csv(folder / "mac_before.csv", index=False)
     drawings = Figures(folder, "Bogie", False)
     drawings.save(width="column")
     widths = {name: float(figure.get_size_inches()[0]) for name, figure in saved.items()}
     assert set(widths) == set(figures) and set(widths.values()) == {COLUMN, WIDTH}
-    assert widths["convergence"] == COLUMN and widths["model"] == widths.get("mode_shapes_after", WIDTH) == WIDTH
+    assert widths["convergence"] == widths["model"] == widths.get("mode_shapes_after", COLUMN) == COLUMN
+    assert widths["mac_before"] == WIDTH
     assert all(is_legible(figure) for name, figure in saved.items() if widths[name] == COLUMN)
     assert set(drawings.too_wide) == {name for name, width in widths.items() if width == WIDTH}
 

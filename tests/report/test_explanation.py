@@ -270,6 +270,16 @@ def test_every_table_of_a_folder_has_its_figure(folder, unrendered):
     assert all(p.parent == folder and p.read_bytes().startswith(b"\x89PNG") for p in written)
 
 
+@pytest.mark.slow
+def test_a_column_has_room_for_every_figure_of_an_explanation(folder, saved, effects):
+    figures = Figures(folder, "Bogie", True)
+    figures.save(width="column")
+    assert figures.too_wide == () and set(saved) == set(FIGURES)
+    told = {text.get_text() for ax in saved["ranked_effects"].axes for text in ax.texts}
+    assert set(effects["title"]) < told and "z\xa010.0, 80 %" in told
+    assert {text.get_text() for text in saved["pulls"].axes[0].texts} == {"K", "1 → 1.2"}
+
+
 @pytest.mark.medium
 def test_headings_state_that_local_perturbations_are_no_causes_and_what_is_synthetic(folder, saved):
     Figures(folder, "Bogie", True).save()
