@@ -254,7 +254,10 @@ def is_legible(figure: Figure) -> bool:
     boxes = _boxes(text for text in flat if not any(text is label for label in beyond))
     if not all(whole.containsx(box.x0) and whole.containsx(box.x1) for box in boxes):
         return False
-    return not any(_cover_each_other(_boxes(group)) for ax in panels for group in _groups(ax))
+    in_space = [[text for text in ax.texts if any(text is one for one in flat)] for ax in figure.axes if not ax.axison]
+    return not any(
+        _cover_each_other(_boxes(group)) for group in [*in_space, *(g for ax in panels for g in _groups(ax))]
+    )
 
 
 def wrap_labels(figure: Figure) -> None:

@@ -107,4 +107,5 @@ def surface_figure(
         write(("log10 of " if name in log else "") + labels.get(name, name), labelpad=6)
     space.set_title(labels.get(response, response), fontsize=9)
     space.tick_params(labelsize=7)
+    space.locator_params(nbins=4)
     return figure

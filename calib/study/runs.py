@@ -94,7 +94,8 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
     inputs : sequence of str
         Columns that become parameters, free between their smallest and largest value, in the unit of the second line.
     outputs : sequence of str
-        Columns, or entries of ``response``, that become responses; by default all others.
+        Columns, or entries of ``response``, that become responses; by default all others but those of words, such as
+        the status of each run.
 
     Returns
     -------
@@ -130,6 +131,9 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
     rows = read_rows(path, [*wanted, *(name for name in header if name not in wanted)])
     units = _units(rows[0]) if rows else None
     rows = rows if units is None else rows[1:]
+    if not outputs and not is_long:
+        found = [name for name in found if not _is_text(rows, name)]
+        wanted = [*named, *found]
     if not named or len(wanted) == len(named):
         raise InputError("it has no " + ("inputs" if not named else "outputs"), place=path,
                          remedy=f"name columns among {', '.join(header)}")  # fmt: skip
@@ -160,6 +164,12 @@ def _units(row: TableRow) -> dict[str, str] | None:
     if any(number_of(cell, row.comma) is not None for cell in cells.values()) or not any(cells.values()):
         return None
     return {name: cell.strip("[]() ") for name, cell in cells.items()}
+
+
+def _is_text(rows: Sequence[TableRow], name: str) -> bool:
+    """Whether a column has words and no number, such as the status of each run."""
+    cells = [(row.cells[name], row.comma) for row in rows if row.cells[name]]
+    return bool(cells) and all(number_of(cell, comma) is None for cell, comma in cells)
 
 
 def _by_run(

@@ -162,7 +162,11 @@ def test_beyond_the_runs_nothing_is_predicted(tmp_path):
         (lambda t: t, ["k", "mu"], r"mu"),
         (lambda t: t, [], r"no inputs"),
         (lambda t: t[["k", "m"]], ["k", "m"], r"no outputs"),
-        (lambda t: t.assign(f1="bad"), ["k", "m"], r"runs.csv, line 3.*column f1.*'bad'.*failed run empty"),
+        (
+            lambda t: t.assign(f1=["bad", *t["f1"][1:]]),
+            ["k", "m"],
+            r"runs.csv, line 3.*column f1.*'bad'.*failed run empty",
+        ),
         (lambda t: t.assign(k=[None, *t["k"][1:]]), ["k", "m"], r"runs.csv, line 3.*column k.*empty"),
         (lambda t: t.assign(m=7.0), ["k", "m"], r"column m.* 7 in every run"),
         (lambda t: t[:15], ["k", "m"], r"15 runs .*too few for 2 inputs.*20 at least"),
@@ -173,6 +177,11 @@ def test_what_is_no_table_of_runs_is_refused_in_one_sentence(tmp_path, change, i
     with pytest.raises(calib.InputError) as fault:
         read_runs(file, inputs=inputs)
     assert re.search(words, str(fault.value)) and "\n" not in str(fault.value)
+
+
+def test_a_column_of_words_is_no_response(tmp_path):
+    found = table().assign(status=["failed", *["Succeeded"] * 59])
+    assert list(read_runs(written(tmp_path, found, ""), ["k", "m"]).metamodels.values) == ["f1", "f2", "mass"]
 
 
 def test_an_unknown_unit_is_refused(tmp_path):
