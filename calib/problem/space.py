@@ -260,10 +260,12 @@ class ParameterSpace:
         if not given.keys() <= self._nominal.keys():
             for name in given:
                 self._require(name, "parameter values")
-        try:
-            values = {name: float(given.get(name, value)) for name, value in self._nominal.items()}
-        except (TypeError, ValueError):
-            values = {name: number(given.get(name, value), f"value of {name}") for name, value in self._nominal.items()}
+        values = {**self._nominal, **given}
+        if set(map(type, values.values())) != {float}:
+            try:
+                values = {name: float(value) for name, value in values.items()}
+            except (TypeError, ValueError):
+                values = {name: number(value, f"value of {name}") for name, value in values.items()}
         if not all(map(math.isfinite, values.values())):
             name, value = next((n, v) for n, v in values.items() if not math.isfinite(v))
             raise InputError(f"value of {name!r} is {value}", place="parameter values")

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from functools import partial
+from functools import cached_property
 from typing import Any
 
 import numpy as np
-import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
-from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.damped_problem import real_times
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.inertia import bordered, symmetric_factor
 from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_modes
 from calib.structure.modes import Modes
 
@@ -27,8 +25,8 @@ NEIGHBOUR = 0.1
 REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
-_RESIDUAL = 1e-6
-"""Largest relative residual of a bordered solve; beyond it an unsolved close mode makes the matrix singular."""
+_AT_ONCE = 2_000_000
+"""Largest number of entries, of all parameters, degrees of freedom and modes, that are multiplied together."""
 
 _FREE = 1e-4
 """Shift of the factor that finds rigid-body motions, over the lowest squared frequency."""
@@ -89,6 +87,18 @@ class _Modes:
         found = bands(self.squares[order], place, n_params, not self.rigid, self.shifted)
         return [(shift, order[some].tolist()) for shift, some in found]
 
+    def _pushed(self, i: int, combine: Callable[..., np.ndarray], *kinds: int) -> Iterable[np.ndarray]:
+        """Of each parameter what is combined of derivatives of K, C and M (0, 1, 2) times a mode's shape, (n_dof,)."""
+        if sp.issparse(self.k) or 3 * len(self.slopes) * self.all[:, : len(self.squares)].size > _AT_ONCE:
+            return [combine(*(times(slope[kind], self.all[:, i]) for kind in kinds)) for slope in self.slopes]
+        return combine(*(self._every_product[kind, :, :, i] for kind in kinds))
+
+    @cached_property
+    def _every_product(self) -> np.ndarray:
+        """Derivatives of K, C and M by each parameter times the shapes of all modes, (3, n_params, n_dof, n_modes)."""
+        shapes = self.all[:, : len(self.squares)]
+        return np.array([[times(slope[kind], shapes) for slope in self.slopes] for kind in range(3)])
+
     def _factor(self, shift: float) -> spla.SuperLU:
         """Of ``K - shift M``; the last one is kept."""
         kept: dict[float, spla.SuperLU] = self.__dict__.setdefault("_factors", {})
@@ -113,8 +123,7 @@ class Damped(_Modes):
     def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         lam, psi = self.eigenvalues[i], self.all[:, i]
-        columns = [lam * (lam * times(dm, psi) + times(dc, psi)) + times(dk, psi) for dk, dc, dm in self.slopes]
-        force = np.column_stack(columns)
+        force = np.column_stack([*self._pushed(i, lambda dk, dc, dm: lam * (lam * dm + dc) + dk, 0, 1, 2)])
         gap = np.abs(self.eigenvalues - lam)
         near = np.flatnonzero(gap <= NEIGHBOUR * abs(lam))
         near = np.concatenate([[i], near[near != i]])
@@ -185,7 +194,8 @@ class Damped(_Modes):
         """The shape's derivative in the scale of `Modes`."""
         lam, psi = system.eigenvalue, system.shape
         inertia = self.m @ psi
-        norm = np.array([psi @ (2 * lam * times(dm, psi) + times(dc, psi)) for _, dc, dm in self.slopes])
+        pushed = self._pushed(system.mode, lambda dc, dm: 2 * lam * dm + dc, 1, 2)
+        norm = np.array([psi @ one for one in pushed]) / system.scale
         own = -0.5 * (2 * system.slope * (psi @ inertia) + norm) - (2 * lam * inertia + self.c @ psi) @ rest
         return np.asarray((rest + np.outer(psi, own)) * system.scale)
 
@@ -203,10 +213,10 @@ class Undamped(_Modes):
     def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
         omega, phi = self.omega[i], self.all[:, i]
-        columns = [times(dk, phi) - omega**2 * times(dm, phi) for dk, _, dm in self.slopes]
-        force: np.ndarray = np.column_stack(columns).astype(self.shape_type)
+        columns = self._pushed(i, lambda dk, dm: dk - omega**2 * dm, 0, 2)
+        force: np.ndarray = np.column_stack([*columns]).astype(self.shape_type)
         if self.shape_type is complex:
-            force += 1j * omega * np.column_stack([times(dc, phi) for _, dc, _ in self.slopes])
+            force += 1j * omega * np.column_stack([*self._pushed(i, lambda dc: dc, 1)])
         gap = np.abs(self.omega - omega)
         near = np.flatnonzero(gap <= NEIGHBOUR * omega)
         near = np.concatenate([[i], near[near != i]])
@@ -268,7 +278,8 @@ class Undamped(_Modes):
     def normalised(self, system: ModeSystem, rest: np.ndarray) -> np.ndarray:
         """The shape's derivative in the scale of `Modes`."""
         phi = system.shape
-        own = -0.5 * np.array([phi @ times(dm, phi) for _, _, dm in self.slopes]) - (self.m @ phi) @ rest
+        masses = np.array([phi @ one for one in self._pushed(system.mode, lambda dm: dm, 2)])
+        own = -0.5 * masses - (self.m @ phi) @ rest
         return np.asarray(rest + np.outer(phi, own))
 
 
@@ -334,61 +345,3 @@ def times(matrix: Matrix, column: np.ndarray) -> np.ndarray:
 def has_entries(matrix: Matrix) -> bool:
     """Whether a matrix differs from 0."""
     return bool(abs(matrix).max() > 0)
-
-
-def bordered(matrix: Any, border: np.ndarray, top: np.ndarray, bottom: np.ndarray) -> tuple[np.ndarray, bool]:
-    """Solution x of ``[Z, B; B^T, 0] [x; mu] = [top; bottom]`` and whether it is accurate.
-
-    Parameters
-    ----------
-    matrix : sparse or dense (n, n)
-        Z, symmetric.
-    border : ndarray (n, m)
-        B.
-    top, bottom : ndarray (n, p), (m, p)
-
-    Returns
-    -------
-    solution : ndarray (n, p)
-    accurate : bool
-
-    Raises
-    ------
-    EvaluationError
-        When the bordered matrix cannot be factorised.
-    """
-    n, g = border.shape
-    # The border is scaled to the size of the matrix, or pivoting would prefer one of them.
-    largest = abs(matrix).max()
-    scale = largest / np.abs(border).max(axis=0)
-    edge = border * scale
-    right = np.vstack([top, bottom * scale[:, None]])
-    whole: Any
-    solve: Callable[[np.ndarray], np.ndarray]
-    if sp.issparse(matrix):
-        blocks: list[list[Any]] = [[matrix, sp.csc_array(edge)], [sp.csc_array(edge.T), None]]
-        whole = sp.csc_matrix(sp.block_array(blocks, format="csc"))
-        try:
-            lu = symmetric_factor(whole, 0.01)
-        except RuntimeError as fault:
-            raise EvaluationError(f"the derivative of a mode shape could not be solved ({fault})") from fault
-        solve = partial(_sparse_solve, lu, whole.dtype)
-    else:
-        whole = np.block([[matrix, edge], [edge.T, np.zeros((g, g))]])
-        solve = partial(la.lu_solve, la.lu_factor(whole, check_finite=False), check_finite=False)
-
-    def solved(b: np.ndarray) -> np.ndarray:
-        if np.iscomplexobj(b) and not np.iscomplexobj(whole):
-            return solve(b.real) + 1j * solve(b.imag)
-        return solve(b)
-
-    x = solved(right)
-    x = x + solved(right - whole @ x)  # one iterative refinement makes up for the relaxed pivoting
-    miss = np.linalg.norm(right - whole @ x, axis=0)
-    size = np.linalg.norm(right, axis=0)
-    good = bool(np.all(np.isfinite(x))) and bool(np.all(miss <= _RESIDUAL * np.maximum(size, 1e-300)))
-    return x[:n], good
-
-
-def _sparse_solve(lu: spla.SuperLU, dtype: np.dtype, b: np.ndarray) -> np.ndarray:
-    return lu.solve(np.ascontiguousarray(b, dtype=dtype))
