@@ -237,7 +237,8 @@ def _own_modes(
         return pd.DataFrame(columns=list(OWN_COLUMNS))
     order = extended.settings.with_effects
     names = {effect.name for effect in effects}
-    placed = sorted((e for e in study.library if e.name in names), key=lambda effect: order.index(effect.name))
+    every = (one for e in study.library for one in e.family)
+    placed = sorted((e for e in every if e.name in names), key=lambda effect: order.index(effect.name))
     with suppress(EvaluationError):
         return own_modes(study.model, placed, with_held_out(extended, used))
     return pd.DataFrame(columns=list(OWN_COLUMNS))

@@ -34,6 +34,7 @@ from calib.missing.between_tests import BETWEEN
 from calib.missing.candidate_fit import CandidateFit, WrongDatum
 from calib.missing.data_words import GROUPS as UNSEEN_GROUPS
 from calib.missing.discrepancy import COLUMNS, discrepancy, parameter_intervals
+from calib.missing.effect_facts import decided_in_detail
 from calib.missing.explanation import Explanation
 from calib.missing.findings import ExplanationResult, findings
 from calib.missing.linearised_fit import least_squares_fit
@@ -123,6 +124,7 @@ def explanation_of(
         else:
             adapter = grown
         decided = decision(adapter, settings, study.file, progress, near)
+    adapter, decided = decision_in_detail(adapter, decided, settings, study.file, progress)
     answer = explain_tests(adapter, decided, started, mesh_words(mesh_sd), progress, _doubts(tests))
     own = ((*generic_note(one, answer.verdict), *uncertain_note(one)) for one in tests)
     taken = dict.fromkeys(note for notes in own for note in notes)
@@ -196,7 +198,8 @@ def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: s
         every = [one for simplest in effects for one in simplest.family]
         try:
             with_effects(model, effects, place)  # hundreds at once
-            alone = [one for simplest in effects for one in simplest.family if one is not simplest]
+            of_family = (one for simplest in effects for one in simplest.family if one is not simplest)
+            alone = [one for one in of_family if not one.generic]  # these are made to fit
         except InputError:
             alone = every  # to tell which one does not fit
         for effect in alone:
@@ -266,6 +269,17 @@ def decision(
         remedy = "correct the function that fails" if own else "check values, limits and supports"
         words = f"the model cannot be fitted: {words}"
         raise InputError(words, place=place, remedy=remedy, at=first.at) from as_cause(first)
+
+
+def decision_in_detail(
+    adapter: Adapter, found: Explanation, requested: ExplainSettings, place: str | Path, progress: Progress = silent
+) -> tuple[Adapter, Explanation]:
+    """See `calib.missing.effect_facts.decided_in_detail`, with the settings of a study."""
+
+    def again(grown: Adapter) -> Explanation:
+        return decision(grown, requested, place, progress, found.base.fit.values)
+
+    return decided_in_detail(adapter, found, again, progress)
 
 
 def _not_fitted(adapter: Adapter, fault: EvaluationError) -> tuple[str, EvaluationError]:

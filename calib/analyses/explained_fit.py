@@ -53,7 +53,8 @@ def explained_fit(study: AnyStudy, home: Results, beside: Sequence[str] = ()) ->
     parent = None if base is None else base_of(study.file, base)
     if parent is not None:
         sources.append((parent, home.path.parent / parent.parent.name))
-    own = [p for effect in study.candidates if effect.name in beside for p in effect.parameters]
+    every = (one for effect in study.candidates for one in effect.family)
+    own = [p for effect in every if effect.name in beside for p in effect.parameters]
     space, effects = study.search_space, _key(*study.settings.with_effects, *beside)
     space = ParameterSpace((*space.parameters, *own), space.constraints) if own else space
     for file, folder in sources:

@@ -90,7 +90,8 @@ class Explained(Displayed, Generic[P]):
     def _named(self) -> Library:
         added = to_add(self.explanation.explanation)
         names = () if added is None else added.names
-        return {model: tuple(e for e in own if e.name in names) for model, own in self.effects.items()}
+        every = {model: [one for e in own for one in e.family] for model, own in self.effects.items()}
+        return {model: tuple(e for e in own if e.name in names) for model, own in every.items()}
 
     @property
     def lines(self) -> Mapping[str, str]:

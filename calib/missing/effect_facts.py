@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
 
-from calib.errors.errors import EvaluationError, ToleranceError
+from calib.errors.errors import EvaluationError, InputError, ToleranceError
 from calib.execution.stage import Progress, silent
 from calib.missing.adapter import Adapter
 from calib.missing.candidate_fit import CandidateFit
@@ -17,7 +18,7 @@ from calib.missing.detailed import DetailedFit, fitted_in_detail, leading_fit, t
 from calib.missing.discrepancy import TABLE as PARAMETERS
 from calib.missing.discrepancy import UNHELD, discrepancy_of, parameter_intervals, parameters_sentence
 from calib.missing.evidence import ln_evidence
-from calib.missing.explanation import Explanation
+from calib.missing.explanation import UNEXPLAINED, Explanation
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.predictions import ERRORS, predictions_sentence
@@ -98,6 +99,34 @@ def detailed_fits(adapter: Adapter, found: Explanation, progress: Progress = sil
         tried.append(tested_in_detail(found, simpler, fitted, errors))
         adapter, simpler = richer, None if tried[-1].adequate else fitted[0]
     return tuple(tried)
+
+
+def decided_in_detail(
+    adapter: Adapter, found: Explanation, decide: Callable[[Adapter], Explanation], progress: Progress = silent
+) -> tuple[Adapter, Explanation]:
+    """The decision again with richer members of generic effects, where one of these is named and nothing was before.
+
+    A point at which a generic effect was composed is none of the structure's: one that may lie anywhere near it is the
+    same candidate, of as many. The members replace the `DecisionRules.freed` best effects that have one, one after the
+    other until something is named, as far as these gain `DecisionRules.by_far` of what the best effect does. Otherwise
+    the adapter and the decision are as before.
+    """
+    best = found.singles[0] if found.verdict in UNEXPLAINED and found.singles else None
+    if best is None or not best.effects[0].generic:
+        return adapter, found
+    least, grown, spent = RULES.by_far * found.ln_bayes(best), adapter, found.evaluations
+    near = [t for t in found.singles if found.ln_bayes(t) > least and getattr(t.effects[0], "richer", None)]
+    for one in near[: RULES.freed]:
+        progress(f"trying any place near that of {one.names[0]}")
+        try:
+            grown = grown.richer(one.names[0], progress) or grown
+            again = decide(grown)
+        except (EvaluationError, InputError, ToleranceError):
+            continue
+        spent += again.evaluations
+        if again.names_something:
+            return grown, replace(again, evaluations=spent)
+    return adapter, found
 
 
 def unexplained(adapter: Adapter, found: Explanation) -> tuple[dict[str, pd.DataFrame], tuple[str, str]]:

@@ -50,6 +50,8 @@ class DecisionRules:
         The same, as a part of the log evidence that the best one has gained.
     refined : int
         Number of effects, and of pairs of effects, refitted with free integers.
+    freed : int
+        Generic effects whose richer members are tried where nothing generic explains the data.
     smaller_steps : tuple of float
         Parts of a step that are tried where the full step raised the sum of squares.
     least_residuals : int
@@ -187,6 +189,7 @@ class DecisionRules:
     close: float = 10.0
     nearly: float = 0.35
     refined: int = 3
+    freed: int = 2
     smaller_steps: tuple[float, ...] = (0.1, 0.01)
     least_residuals: int = 8
     hopeless: float = 1.05

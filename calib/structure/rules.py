@@ -40,6 +40,19 @@ class ModelRules:
         Most places between sensors at which a composed mass may be.
     further_apart : float
         Their least distance from others, over the size of the model.
+    free_flat : float
+        Distance from a line or plane, over that from its point, from which a node lies off the beam or surface on which
+        the place of a mass is free.
+    free_wider : float
+        Distance of the nodes from which the motion there is interpolated, over that of the places.
+    free_nodes : int
+        Most of these nodes.
+    free_degrees : tuple of int
+        Largest degrees of the polynomial along a beam and on a surface.
+    free_unturned : int
+        The same where no rotations are known.
+    free_spare : tuple of float
+        Least number of known motions along a beam and on a surface, over that of coefficients that they determine.
     beam_ends : int
         Most ends of beams, those nearest to sensors, that composed effects soften.
     neighbours : int
@@ -78,6 +91,12 @@ class ModelRules:
     same_joint: float = 0.1
     further_places: int = 12
     further_apart: float = 0.1
+    free_flat: float = 0.1
+    free_wider: float = 1.6
+    free_nodes: int = 40
+    free_degrees: tuple[int, int] = (8, 6)
+    free_unturned: int = 3
+    free_spare: tuple[float, float] = (1.0, 1.5)
     beam_ends: int = 60
     neighbours: int = 3
     hung_points: int = 7

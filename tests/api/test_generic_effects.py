@@ -4,13 +4,19 @@ import shutil
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 import pytest
+import scipy.sparse as sp
 from scipy.linalg import eigh
 
 import calib
 from calib.command import cli
 from calib.errors.errors import InputError
+from calib.measurement.modal import MeasuredModes, Sensor
+from calib.structure.effects.attach import part_of, parts_of, thicker_part
 from calib.structure.effects.compositions import DISSIPATING, compositions, generic_effects
+from calib.structure.effects.free_place import FreePlace, at_free_place, patch_about
+from models.fem import thin_plate
 from tests.api.storeys import FLOORS, MASS, STIFF, chain, measured, posed, spring
 
 HEAVY = {4: 300.0}
@@ -111,6 +117,122 @@ def test_a_function_without_parts_has_none():
 def test_another_word_is_no_library():
     with pytest.raises(InputError, match="effects"):
         posed().explain("general", progress=False)
+
+
+# -- places between nodes ----------------------------------------------------------------------------------------------
+
+
+def beam(elements: int, length: float = 6.0, hung: tuple[float, float] | None = None, rib: int | None = None):
+    """A clamped steel beam along x that bends along z, 40 kg/m; a mass in kg at a place in m, and a rib at a node."""
+    n, one = elements, length / elements
+    bend = 2.1e11 * 8e-6 / one**3 * np.array([
+        [12, -6 * one, -12, -6 * one], [-6 * one, 4 * one**2, 6 * one, 2 * one**2],
+        [-12, 6 * one, 12, 6 * one], [-6 * one, 2 * one**2, 6 * one, 4 * one**2],
+    ])  # fmt: skip
+    own = 40.0 * one / 420 * np.array([
+        [156, -22 * one, 54, 13 * one], [-22 * one, 4 * one**2, -13 * one, -3 * one**2],
+        [54, -13 * one, 156, 22 * one], [13 * one, -3 * one**2, 22 * one, 4 * one**2],
+    ])  # fmt: skip
+    stiffness, mass = np.zeros((2 * n + 4, 2 * n + 4)), np.zeros((2 * n + 4, 2 * n + 4))
+    for k in range(n):
+        at = np.ix_(range(2 * k, 2 * k + 4), range(2 * k, 2 * k + 4))
+        stiffness[at] += bend
+        mass[at] += own
+    if hung is not None:
+        mass[2 * round(hung[0] / one), 2 * round(hung[0] / one)] += hung[1]
+    stiffness[-2, -2] = stiffness[-1, -1] = mass[-2, -2] = mass[-1, -1] = 1e6
+    if rib is not None:
+        stiffness[2 * rib, -2] = stiffness[-2, 2 * rib] = -1e4
+    points = [(k * one, 0.0, 0.0) for k in range(n + 1)] + [((rib or 0) * one, 1.0, 0.0)]
+    dofs = [(k + 1, d, *point) for k, point in enumerate(points) for d in ("z", "ry")]
+    kept = np.r_[2 : 2 * n + (2 if rib is None else 4)]
+    at = np.ix_(kept, kept)
+    table = pd.DataFrame([dofs[k] for k in kept], columns=["node", "direction", "x", "y", "z"])
+    parameters = [calib.Parameter("E", 1.0, 0.7, 1.4, prior_sd=0.05)]
+    return calib.StructuralModel.from_matrices(
+        {"K": (stiffness[at], "E")}, {"M": mass[at]}, dofs=table, parameters=parameters, name="beam"
+    )
+
+
+def energy(model, effect_terms, shape, slope, **values):
+    """Twice the kinetic energy of a motion w(x), by its values and slopes at the nodes; a rotation is minus a slope."""
+    x = model.mesh.points[model.dofs.node, 0]
+    motion = np.where(model.dofs.direction == 2, shape(x), -slope(x))
+    return sum(t.coefficient(values) * float(motion @ (t.matrix @ motion)) for t in effect_terms)
+
+
+def test_a_mass_at_a_free_place_moves_as_the_beam_does_there():
+    model = beam(12)
+    shape, slope = np.poly1d([0.3, -1.0, 0.4, 2.0]), np.poly1d([0.9, -2.0, 0.4])
+    terms = at_free_place(model, "m", "mass", (3.0, 0.0, 0.0), (2,), 0.7).mass
+    for offset in (0.0, 0.23, -0.61):
+        assert energy(model, terms, shape, slope, m=2.5, m_x=offset) == pytest.approx(2.5 * shape(3.0 + offset) ** 2)
+
+
+def test_a_free_place_ends_where_something_else_is_joined():
+    free, ribbed = (
+        patch_about(m, sp.csr_array(m.stiffness({"E": 1.0})), (3.0, 0.0, 0.0), 1.0) for m in (beam(12), beam(12, rib=7))
+    )
+    assert free is not None and free.axes == (0,) and free.ends[0] == pytest.approx((-1.0, 1.0))
+    assert ribbed is not None and ribbed.ends[0] == pytest.approx((-1.0, 0.5))
+    model = beam(12, rib=7)
+    assert patch_about(model, sp.csr_array(model.stiffness({"E": 1.0})), (3.5, 0.0, 0.0), 1.0) is None
+
+
+def test_a_free_place_on_a_plate_has_two_coordinates():
+    """Exact for a motion of second order, wherever it lies between the nodes of an inclined plate."""
+    n, side = 4, 0.25
+    stiffness = thin_plate.stiffness(side, side, 0.01, 0.3)
+    flat = [(i * side, j * side) for j in range(n + 1) for i in range(n + 1)]
+    whole = np.zeros((3 * len(flat), 3 * len(flat)))
+    for j in range(n):
+        for i in range(n):
+            nodes = [j * (n + 1) + i + k for k in (0, 1, n + 2, n + 1)]
+            at = [3 * node + k for node in nodes for k in range(3)]
+            whole[np.ix_(at, at)] += stiffness
+    dofs = [(k + 1, d, x, y, 0.0) for k, (x, y) in enumerate(flat) for d in ("z", "rx", "ry")]
+    table = pd.DataFrame(dofs, columns=["node", "direction", "x", "y", "z"])
+    model = calib.StructuralModel.from_matrices(whole, np.eye(len(whole)), dofs=table)
+    terms = at_free_place(model, "k", "stiffness", (0.5, 0.5, 0.0), (2,), 0.25).stiffness
+    x, y = (model.mesh.points[model.dofs.node, k] for k in (0, 1))
+    motion = np.choose(model.dofs.direction - 2, [1 + x + 2 * x * y - y**2, 2 * x - 2 * y, -(1 + 2 * y)])
+    values = {"k": 3.0, "k_x": 0.13, "k_y": -0.07}
+    energy = sum(t.coefficient(values) * float(motion @ (t.matrix @ motion)) for t in terms)
+    assert energy == pytest.approx(3.0 * (1 + 0.63 + 2 * 0.63 * 0.43 - 0.43**2) ** 2)
+
+
+def test_a_thickness_changes_stiffness_as_its_cube_and_mass_alike():
+    model = chain()
+    part = next(p.name for p in model.parts or parts_of(model) if p.kind == "stiffness")
+    cubed = sum(t.coefficient(model.space.si({**model.space.values}) | {"t": -0.2}) * t.matrix for t in thicker_part(
+        model, part, "t"))  # fmt: skip
+    own = part_of(model, "stiffness", part)
+    whole = own.coefficient(model.space.si(model.space.values)) * own.matrix
+    assert np.allclose(cubed.toarray(), (0.8**3 - 1) * whole.toarray())
+
+
+@pytest.mark.slow
+def test_a_mass_between_the_points_of_the_candidates_is_named_where_it_is():
+    """It hangs at 0.7 of an element from the nearest node; sensors are 1 m apart."""
+    model, true, place = beam(12), beam(120, hung=(3.35, 12.0)), 3.35
+    found, rng = true.modes({"E": 1.03}, 6), np.random.default_rng(1)
+    sensors = tuple(Sensor(k, "z", (float(k - 1) / 2, 0.0, 0.0)) for k in range(3, 14, 2))
+    rows = np.array([true.locator.row(s.point, 2)[0] for s in sensors])
+    shapes = (rows @ found.shapes).real
+    shapes = shapes / np.abs(shapes).max(axis=0) + 0.01 * rng.standard_normal((len(sensors), 6))
+    freq = np.asarray(found.natural_freq) * (1 + 1e-3 * rng.standard_normal(6))
+    modes = tuple(f"F{k + 1}" for k in range(6))
+    measured = MeasuredModes(
+        modes, freq, freq, 1e-3 * freq, np.full(6, 0.01), np.full(6, np.nan), sensors, shapes,
+        np.full(shapes.shape, 0.01), 5, True,
+    )  # fmt: skip
+    why = calib.Problem(model, calib.ModalTest(measured, mode_count=8)).explain("generic", progress=False)
+    assert why.verdict == "effect"
+    (named,) = why.named
+    fit = why.explanation.explanation.chosen.fit.values
+    assert isinstance(named.build, FreePlace) and named.build.moved(fit)[0] == pytest.approx(place, abs=0.06)
+    assert fit[named.name] == pytest.approx(12.0, rel=0.1)
+    assert why.with_named().calibrate(progress=False).values[named.name] == pytest.approx(12.0, rel=0.1)
 
 
 # -- in a folder -------------------------------------------------------------------------------------------------------

@@ -18,7 +18,9 @@ is thinner, a support gives way, a stop on some nodes touches it. A cut along a 
 panel where matrices name none are in no form of the candidates.
 
 What is named is right if it is of the kind that was made and at its place: within a third of a member or half a panel
-for masses, supports and stops, on that member or panel for sections, between those columns for struts. Where no
+for masses, supports and stops, on that member or panel for sections, between those columns for struts. A place that is
+free counts where it was fitted. The mass of the member or panel on which a mass lies is right too, and any change
+of a panel that is thinner. Where no
 candidate would be right, as without a sensor on one of the columns, what is missing is in no form of them. A set of
 several that cannot be told apart is right if its best is; one that holds the truth elsewhere is no wrong name.
 "Something
@@ -52,7 +54,7 @@ from rates_table import NAMING, Rate, bound_of, write_rates
 from rates_world import digest_of
 
 import calib
-from calib.analyses.explain import decision
+from calib.analyses.explain import decision, decision_in_detail
 from calib.analyses.hypotheses_of_study import adapter_for
 from calib.execution.stage import silent
 from calib.measurement.modal import MeasuredModes, Sensor
@@ -62,6 +64,7 @@ from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.effects.composed import Connection, PointMass, ScaledParts, SoftJoint
 from calib.structure.effects.compositions import generic_effects
+from calib.structure.effects.free_place import FreePlace
 from calib.structure.model import StructuralModel
 from models.fem import thin_plate
 
@@ -82,6 +85,7 @@ SOURCES = (
     "tests/benchmarks/rates_frame.py",
     "calib/hypotheses",
     "calib/analyses/explain.py",
+    "calib/structure/effects",
 )
 Place = tuple[float, float, float]
 
@@ -324,9 +328,12 @@ def _made_of_plate(
     x, y = (float(rng.uniform(0.15, 0.85)) * side for side in sides)
     near = max(sides[0] / 6, sides[1] / 4)
     at, touched = np.array([x, y, 0.0]), fine.near((x, y), 1.2 * max(fine.a, fine.b))
+    on_panel = f"panel {1 + int(3 * x / sides[0]) + 3 * int(2 * y / sides[1])}"
     if hidden == "mass":
         kg = 0.04 * size * DENSITY * coarse.thickness * sides[0] * sides[1]
-        return {}, {"hidden": fine.on(touched, kg)}, lambda e: _kind(e) == "mass" and _within(e, at, near), kg
+        return {}, {"hidden": fine.on(touched, kg)}, lambda e: _kind(e) == "mass" and (
+            _within(e, at, near) or _on(e, on_panel)
+        ), kg  # fmt: skip
     if hidden == "stop":
         k = 0.08 * SPRING * size
         return {"hidden": fine.on(touched, k)}, {}, lambda e: _stops(e, at, near), k
@@ -421,6 +428,7 @@ def run(number: int, code: str) -> dict[str, Any]:
     study = problem.study(effects={one.model.name: library})
     adapter = adapter_for(study, None, silent, {})
     found = decision(adapter, study.settings.explain, "case")
+    adapter, found = decision_in_detail(adapter, found, study.settings.explain, "case")
     score = _score(one, found)
     group = "nothing" if not one.hidden else "single" if any(map(one.right, library)) else "outside"
     return {
@@ -440,7 +448,7 @@ def run(number: int, code: str) -> dict[str, Any]:
 
 def _outcome(one: Case, library: tuple[Effect, ...], found: Explanation) -> str:
     """See `rates_outcome.outcome`; a set is right if the best of it is, one that holds the truth is `second`."""
-    of = {effect.name: effect for effect in library}
+    of = {effect.name: effect for effect in library} | _at_fitted_places(library, found)
     if not found.names_something:
         like = found.verdict == "partial" and is_far_ahead(found) and found.chosen is not None
         return "like it" if like and all(one.right(of[n]) for n in found.chosen.names if n in of) else found.verdict
@@ -449,6 +457,22 @@ def _outcome(one: Case, library: tuple[Effect, ...], found: Explanation) -> str:
     if best and all(one.right(of[name]) for name in best):
         return "right"
     return "second" if any(one.right(of[name]) for name in credible) else "wrong"
+
+
+def _at_fitted_places(library: tuple[Effect, ...], found: Explanation) -> dict[str, Effect]:
+    """Effects at free places, each as one at the place where it was fitted."""
+    out, fitted = {}, {t.names[0]: t.fit.values for t in found.singles}
+    for effect in (e.richer for e in library if e.richer is not None):
+        free = effect.build
+        if isinstance(free, FreePlace) and effect.name in fitted:
+            place = (None, free.moved(fitted[effect.name]))
+            at = (
+                PointMass(effect.name, (place,), free.directions)
+                if free.matrix == "mass"
+                else Connection(effect.name, "stiffness", ((place, None),), free.directions[0])
+            )
+            out[effect.name] = replace(effect, build=at)
+    return out
 
 
 def _score(one: Case, found: Explanation) -> float:

@@ -87,6 +87,18 @@ def scaled_part(model: StructuralModel, kind: PartKind, name: str, magnitude: st
     return Term(f"{magnitude}: {name}", part.matrix, Monomial(factor * part.coefficient.factor, powers), name)
 
 
+def thicker_part(model: StructuralModel, name: str, magnitude: str) -> tuple[Term, ...]:
+    """Terms that scale a part's stiffness by ``(1 + magnitude)^3``, as bending grows with the thickness."""
+    part = part_of(model, "stiffness", name)
+    powers, factor = part.coefficient.powers, part.coefficient.factor
+    return tuple(
+        Term(
+            f"{magnitude}: {name}, power {k}", part.matrix, Monomial(n * factor, (*powers, (magnitude, float(k)))), name
+        )
+        for k, n in ((1, 3.0), (2, 3.0), (3, 1.0))
+    )
+
+
 def softened_part(model: StructuralModel, name: str, flexibility: str) -> Term:
     """Change of a part's stiffness by a flexibility in series with each of its springs.
 

@@ -22,6 +22,7 @@ from calib.structure.effects.attach import (
     relative_rotation,
     scaled_part,
     softened_supports,
+    thicker_part,
 )
 from calib.structure.effects.extend import Addition
 from calib.structure.effects.rigid_joints import softened_joint
@@ -58,19 +59,22 @@ class ScaledParts:
     parts : tuple of (kind, name)
     dissipating : bool
         Whether dampers in parallel are added: C is the magnitude, in s, times the stiffness of the parts.
+    thickness : bool
+        Whether the magnitude is that of a thickness: stiffness, of bending, grows with its cube.
     """
 
     name: str
     parts: tuple[tuple[PartKind, str], ...]
     dissipating: bool = False
+    thickness: bool = False
 
     def __call__(self, model: StructuralModel) -> Addition:
         """Terms of every matrix."""
         terms: dict[str, list[Term]] = {}
         for kind, part in self.parts:
-            terms.setdefault("damping" if self.dissipating else kind, []).append(
-                scaled_part(model, kind, part, self.name)
-            )
+            cubed = self.thickness and kind == "stiffness"
+            changed = thicker_part(model, part, self.name) if cubed else (scaled_part(model, kind, part, self.name),)
+            terms.setdefault("damping" if self.dissipating else kind, []).extend(changed)
         own = {kind: tuple(terms.get(kind, ())) for kind in ("stiffness", "damping", "mass")}
         return Addition(own["stiffness"], own["damping"], own["mass"])
 
@@ -80,8 +84,11 @@ class ScaledParts:
         lines, kinds = ["return Addition("], tuple(dict.fromkeys(kind for kind, _ in self.parts))
         for kind in kinds:
             lines.append(f"    {'damping' if self.dissipating else kind}=(")
+            cubed = self.thickness and kind == "stiffness"
             lines += [
-                f'        scaled_part(model, "{kind}", {python_text(part)}, "{self.name}"),'
+                f'        *thicker_part(model, {python_text(part)}, "{self.name}"),'
+                if cubed
+                else f'        scaled_part(model, "{kind}", {python_text(part)}, "{self.name}"),'
                 for own, part in self.parts
                 if own == kind
             ]

@@ -27,11 +27,11 @@ class Composition:
     effect : Effect
         Built by a `calib.structure.effects.composed.Builder`.
     kind : str
-        Of parts: ``stiffness``, ``damping``, ``mass``, ``section`` (stiffness and mass together), ``dissipation``
-        (dampers in parallel to them), ``damper mount`` (springs in series with dampers), ``soft support`` (springs in
-        series with supports), ``soft joint`` (with ends of beams), ``rotational spring`` (between the bodies that a
-        spring joins). At points: ``added mass``, ``hung mass``, ``spring to ground``, ``damper to ground``, ``spring
-        between``, ``damper between``.
+        Of parts: ``stiffness``, ``damping``, ``mass``, ``section`` (stiffness and mass together), ``thickness`` (mass,
+        and stiffness as its cube), ``dissipation`` (dampers in parallel to them), ``damper mount`` (springs in series
+        with dampers), ``soft support`` (springs in series with supports), ``soft joint`` (with ends of beams),
+        ``rotational spring`` (between the bodies that a spring joins). At points: ``added mass``, ``hung mass``,
+        ``spring to ground``, ``damper to ground``, ``spring between``, ``damper between``.
     at : str
         Parts, sensors or points, in words.
     places : tuple of (3,) float

@@ -15,15 +15,25 @@ from calib.problem.effect import Effect
 from calib.structure.affine import Monomial
 from calib.structure.effects.composition import Composition, HungBy, Names
 from calib.structure.effects.extend import addition_of
+from calib.structure.effects.free_place import with_free_places
 from calib.structure.effects.part_compositions import (
     of_function,
     of_joints,
     of_mounts,
     of_parts,
     of_rigid_joints,
+    of_sections,
     of_supports,
 )
-from calib.structure.effects.point_compositions import further_spots, heavy, held_at, hung_at, moving, of_sensors
+from calib.structure.effects.point_compositions import (
+    further_spots,
+    heavy,
+    held_at,
+    hung_at,
+    moving,
+    of_sensors,
+    springs_between,
+)
 from calib.structure.function_model import FunctionModel
 from calib.structure.located import placed_sensors
 from calib.structure.modal_function import ModalFunctionModel
@@ -119,7 +129,8 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
     They are the `compositions` at its nominal values but for hung masses and mounts of dampers, which only a search
     tries at all of their natural frequencies and lags. Without damping in the model there are none that dissipate:
     they would change nothing. Of those that change the same entries of one matrix in the same ratio, such as a spring
-    between two masses and the part that it is, the first stands for all.
+    between two masses and the part that it is, the first stands for all. Stiffness and mass of what has the same nodes
+    also change together. A mass or a spring to the ground has one at a free place as its richer member.
 
     Parameters
     ----------
@@ -131,10 +142,14 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
     InputError
         For a model that names no parts and has no points.
     """
-    plain = _plain(model, measured, model.space.values, Names({*taken, *model.space.names}))
-    elastic = isinstance(model, StructuralModel) and not model.is_damped
-    kept = [c for c in plain if not (elastic and c.kind in DISSIPATING)]
-    kept = _different(model, kept) if isinstance(model, StructuralModel) else kept
+    names = Names({*taken, *model.space.names})
+    kept = list(_plain(model, measured, model.space.values, names))
+    if isinstance(model, StructuralModel):
+        values, sensors = dict(model.space.values), _sensors(model, measured)
+        kept += of_sections(model, names, kept)
+        kept += springs_between(model, sensors, values, names, _middle(_band(model, measured, values)))
+        kept = [c for c in kept if model.is_damped or c.kind not in DISSIPATING]
+        kept = with_free_places(model, values, _different(model, kept), names)
     out = tuple(replace(c.effect, generic=True) for c in kept)
     if not out:
         raise InputError(

@@ -6,6 +6,7 @@ import math
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import combinations
 from typing import Any, Protocol, TypeVar
 
@@ -51,6 +52,7 @@ _PARTS: Mapping[str, tuple[str, str]] = {
     "damping": ("dissipates as drawn", "Leaks, wear, and a part that was exchanged"),
     "mass": ("weighs as much as drawn", "Equipment, filling, or parts that were left out"),
     "section": ("has the section of the drawing", "Corrosion, holes, or a profile of another size"),
+    "thickness": ("is as thick as drawn", "Corrosion, grinding, or a sheet of another thickness"),
     "dissipation": ("is elastic without loss", "Rubber, friction in joints, and whatever gets warm"),
     "damper mount": ("is mounted rigidly", "Soft or worn bushes and thin brackets at the ends of dampers"),
     "soft support": ("stands as firmly as drawn", "Soft foundations, oil columns, clearances and thin packings"),
@@ -107,6 +109,31 @@ def of_parts(model: StructuralModel, names: Names, middle: float) -> Iterator[Co
             yield _changed("section", [("stiffness", part), ("mass", masses[part.name])], names, middle)
 
 
+def of_sections(model: StructuralModel, names: Names, taken: Sequence[Composition]) -> Iterator[Composition]:
+    """Sections and thicknesses: stiffness and mass of what has the same nodes change together.
+
+    Both as one (a section: the wall of a tube, a membrane), and the stiffness as the cube (a thickness in bending): of
+    matrices alone nobody knows which it is.
+    """
+    if not model.parts and parts_of_terms(parts_of(model)):
+        return  # matrices from runs have terms of thickness of their own
+    known = {frozenset(c.builder.parts) for c in taken if c.kind == "section" and isinstance(c.builder, ScaledParts)}
+    masses: dict[bytes, list[Part]] = defaultdict(list)
+    for part in parts_of(model):
+        if part.kind == "mass":
+            masses[_nodes_of(model, part)].append(part)
+    for part in parts_of(model):
+        for mass in masses[_nodes_of(model, part)] if part.kind == "stiffness" else ():
+            both: list[tuple[PartKind, Part]] = [("stiffness", part), ("mass", mass)]
+            for kind in ("section", "thickness"):
+                if kind != "section" or frozenset((k, p.name) for k, p in both) not in known:
+                    yield replace(_changed(kind, both, names, math.nan), count=1)
+
+
+def _nodes_of(model: StructuralModel, part: Part) -> bytes:
+    return np.unique(model.dofs.node[np.unique(sp.csr_array(part.matrix).indices)]).tobytes()
+
+
 def _of_terms(terms: Sequence[Terms], names: Names, middle: float) -> Iterator[Composition]:
     """The same of matrices from runs, whose terms are no parts by themselves."""
     for one in terms:
@@ -158,7 +185,7 @@ def _changed(
         unit, lower, upper = "ms", 0.0, RULES.added_most * size
         words = "damping over stiffness: the loss factor is this times the angular frequency"
     magnitude = Parameter(name, 0.0, lower, upper, unit, prior_sd=size, description=words)
-    build = ScaledParts(name, tuple((k, part.name) for k, part in parts), kind == "dissipation")
+    build = ScaledParts(name, tuple((k, p.name) for k, p in parts), kind == "dissipation", kind == "thickness")
     effect = _part_effect(kind, at, magnitude, build)
     places = dict.fromkeys(part.place for _, part in parts if np.isfinite(part.place).all())
     return Composition(effect, kind, at, tuple(places), len(own) if terms is None else 1)

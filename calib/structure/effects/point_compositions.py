@@ -105,6 +105,31 @@ def of_sensors(
             yield _connection(f"{kind} between", joined, names, weight * RULES.local / least)
 
 
+def springs_between(
+    model: StructuralModel, sensors: Sequence[Sensor], values: Mapping[str, float], names: Names, middle: float
+) -> Iterator[Composition]:
+    """Springs to the ground at the `further_spots`, in the directions of the sensors; arguments as in `of_sensors`."""
+    spots, measured = further_spots(model, sensors), {s.direction for s in _placed(model, sensors)}
+    acting = [(s, d) for s in spots for d in moving(model, s.place) if DIRECTIONS[d] in measured]
+    if not acting:
+        return
+    rows = np.array([motion(model, spot.place, d) for spot, d in acting])
+    flexible = np.einsum("ij,ji->i", rows, dynamic_factor(model, values, middle).solve(np.ascontiguousarray(rows.T)))
+    what, unit, look_for = _KINDS["spring to ground"]
+    for (spot, direction), f in zip(acting, flexible.tolist(), strict=True):
+        at, size = f"{spot.at} along {DIRECTIONS[direction]}", RULES.local / f
+        name = names.free(f"spring to ground {spot.label} {DIRECTIONS[direction]}")
+        magnitude = Parameter(
+            name, 0.0, 0.0, RULES.added_most * size, unit, prior_sd=size, description=f"{what.lower()} at {at}"
+        )
+        build = Connection(name, "stiffness", ((spot.place, None),), direction)
+        effect = Effect(
+            name, f"{what} at {at}", f"Nothing acts there: {at}.", f"{look_for} near {at}.", magnitude, build,
+            phrase=f"{what.lower()} at {at}",
+        )  # fmt: skip
+        yield Composition(effect, "spring to ground", at, (spot.point,))
+
+
 def further_spots(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Spot]:
     """Nodes of a model between its sensors that can move, each as far as possible from all known before it."""
     sensors = _placed(model, sensors)
