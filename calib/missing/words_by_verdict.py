@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import pandas as pd
 
-from calib.missing.candidate_fit import AdequacyTests
+from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import p_words, where
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words
@@ -38,6 +38,8 @@ from calib.missing.verdict_words import (
 )
 from calib.problem.candidate import Candidate
 
+_DRAWN = 3.0
+"""Plausible sizes beyond which a magnitude is said to be drawn down by its prior (assumed)."""
 MOST = 99.0
 """Largest probability that is stated (%): the prior of the library is no surer."""
 
@@ -204,10 +206,16 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
         f"The model lacks something that no listed effect explains fully: {it}, is a part of it or stands in for "
         "something else.",
         f"It lowers the sum of squares from {before:.0f} to {after:.0f}, but "
-        f"{_left(found.chosen_adequacy, found.alpha)}. {misfit_in_short(found)}",
+        f"{_left(found.chosen_adequacy, found.alpha)}.{_drawn(found.chosen, e)} {misfit_in_short(found)}",
         "Look first where it acts. No single place explains it." if beyond_places(found) else _rest(found),
         (misfit_words(found), steps_sentence(found)),
     )
+
+
+def _drawn(candidate_fit: CandidateFit, e: Candidate) -> str:
+    """That its plausible size draws a magnitude down, with a space before it; empty where it hardly does."""
+    times = abs(e.magnitude.pull(candidate_fit.fit.values[e.name]))
+    return f" It is {times:.0f} times its plausible size, which draws it down." if times > _DRAWN else ""
 
 
 def _left(adequacy: AdequacyTests, alpha: float) -> str:

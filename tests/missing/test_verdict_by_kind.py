@@ -158,6 +158,18 @@ def test_a_partial_explanation_is_stated_as_such(cases):
     assert re.search(r"a lack of \w+, about [^(]+, is a part of it", text), "its interval would hold only if it were it"
 
 
+def test_a_magnitude_that_its_plausible_size_draws_down_is_told_so(cases):
+    found = cases["partial"]
+    (e,), value = found.chosen.effects, found.chosen.fit.values[found.chosen.names[0]]
+
+    def text(times):
+        sized = replace(e, magnitude=replace(e.magnitude, prior_sd=value / times))
+        return text_of(replace(found, chosen=replace(found.chosen, effects=(sized,))))
+
+    assert "It is 10 times its plausible size, which draws it down." in text(9.9)
+    assert "plausible size" not in text(2.0)
+
+
 def test_a_partial_explanation_far_beyond_every_place_points_where_it_acts(cases):
     found = cases["partial"]
     assert found.perturbation is not None
