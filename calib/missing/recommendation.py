@@ -155,7 +155,7 @@ def recommend(design: ExperimentalDesign) -> pd.DataFrame:
                 gain, low, high = design.averaged(np.where(now[:, k] > 0, there[:, k] / now[:, k], np.nan))
             size = design.averaged(there[:, k])[0]
             least = RULES.detectable / size if size > 0 else math.inf
-            words = f"{measurement.name}: {gain_words(gain)} times the score of {name} ({low:.2g} to {high:.2g})"
+            words = f"{measurement.name}: {score_gain_words(gain)} times the score of {name} ({low:.2g} to {high:.2g})"
             if competing is not None and name == competing.names[0]:
                 words = f"{measurement.name}: {_in_words(bayes_factor, competing.names)}"
             expected = (bayes_factor.mean, bayes_factor.low, bayes_factor.high, bayes_factor.chance)
@@ -176,7 +176,7 @@ def with_few_rows(table: pd.DataFrame) -> pd.DataFrame:
     return table[table.groupby("effect", sort=False).cumcount() < KEPT].reset_index(drop=True)
 
 
-def gain_words(gain: float) -> str:
+def score_gain_words(gain: float) -> str:
     """A factor on a score, such as ``2.4``."""
     return f"more than {_HARDLY_SHOWN:g}" if gain > _HARDLY_SHOWN else f"{gain:.2g}"
 

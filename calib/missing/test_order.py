@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.missing.competing import CandidateMeasurement, Excitation
-from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Interval, as_ratio, gain_words, rounded
+from calib.missing.recommendation import HELD_OUT, ExperimentalDesign, Interval, as_ratio, rounded, score_gain_words
 from calib.missing.rules import RULES
 from calib.problem.parameter import unit_words
 from calib.results.answer import hertz, in_prose
@@ -173,7 +173,7 @@ def _narrowing(
     if math.isfinite(now) and now > 0:
         words = f"{_INTERVAL}{of_which.format(name)}: {rounded(now)} → {rounded(now / gain)}{unit_words(unit)} wide"
         return row | {"narrows": words}
-    return row | {"narrows": f"{name} shows {gain_words(gain)} times as clearly"}
+    return row | {"narrows": f"{name} shows {score_gain_words(gain)} times as clearly"}
 
 
 def _how(row: Mapping[str, Any]) -> str:

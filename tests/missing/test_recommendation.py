@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.missing.competing import CandidateMeasurement
-from calib.missing.recommendation import AVERAGED, COLUMNS, gain_words, recommend
+from calib.missing.recommendation import AVERAGED, COLUMNS, recommend, score_gain_words
 from tests.missing.measurement_designs import (
     SENSOR,
     TWICE,
@@ -113,7 +113,7 @@ def test_the_table_lists_gain_and_smallest_magnitude_best_first():
 
 
 def test_an_effect_that_the_present_data_hardly_show_has_no_number_of_times():
-    assert gain_words(2.44) == "2.4" and gain_words(9.7e20) == "more than 1000"
+    assert score_gain_words(2.44) == "2.4" and score_gain_words(9.7e20) == "more than 1000"
 
 
 def test_an_absorbed_effect_has_no_gain():
