@@ -13,18 +13,21 @@ import numpy as np
 import pandas as pd
 import scipy.sparse as sp
 
-from calib.api.display import Displayed, compared
+from calib.api.display import Displayed
 from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
+from calib.api.fe_agreement import against
 from calib.api.fe_study import TEMPLATE, TermsByKind, measurement_of, model_of, toml_text, write_study
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import EvaluationError, InputError
-from calib.experiment import ModalTest
 from calib.imports.fe_modes import read_fe_modes
 from calib.imports.matrices import KINDS, ReadMatrices, read_matrices
-from calib.measurement.files.read import Named, found_files
-from calib.measurement.modal import DIRECTIONS, MeasuredModes
+from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files
+from calib.measurement.files.uff_blocks import read_blocks
+from calib.measurement.frf_units import LENGTHS
+from calib.measurement.modal import DIRECTIONS
 from calib.problem.space import Parameter
 from calib.structure.model import StructuralModel
+from calib.structure.modes import Modes
 from calib.structure.unit_system import SYSTEMS, unit_system
 from calib.study.study_file import shell_argument, study_file
 
@@ -32,10 +35,8 @@ Names: TypeAlias = str | Sequence[str]
 
 MODES = 10
 """Modes that an import computes."""
-FREQ_AGREES, MAC_AGREES = 1e-4, 0.9999
-"""Within these an imported model has the modes that its code printed, with the digits that codes print."""
-_NODES = 100
-"""Nodes at which shapes are compared with those of the code."""
+_BEYOND = 4
+"""Further modes of the model, so that the last ones of the code have those that are as low as they beside them."""
 _ALIKE = 0.01
 """Relative difference of the mass that moves in two directions that is worth a word."""
 _LOOSE, _LOOSE_SHARE = 6, 0.01
@@ -219,13 +220,14 @@ def import_matrices(
     mirrored = (f"One triangle was given and has been mirrored: {', '.join(halves)}.",) if halves else ()
     fixed = tuple(f"{a.item}: {a.reason}." for a in model.assumptions if a.value != "symmetric")
     notes = (*read.notes, *mirrored, *fixed, *notes)
-    table, told = _solved(model, read)
+    found, table, told = _solved(model, read)
     notes += told
     if modes is not None:
         own = read_fe_modes(
-            path_of(modes, "modes"), shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes")
-        )
-        table, told, doubts = _against(model, own, table)
+            file := path_of(modes, "modes"), length_unit=_length_unit(file, system.length),
+            shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes"),
+        )  # fmt: skip
+        table, told, doubts = against(model, own, found, table)
         notes, warnings = (*notes, *told), (*warnings, *doubts)
         if doubts and any(words.startswith("common null space") for words in fixed):
             warnings += (
@@ -311,10 +313,17 @@ def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...]
     return tuple(notes), tuple(warnings)
 
 
-def _solved(model: StructuralModel, read: ReadMatrices) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The first modes of the model with the element set of most strain energy, and how many rigid-body motions."""
+def _length_unit(file: Path, metres: float) -> str | None:
+    """The code's unit of length by its name; None for a universal file that states its own (dataset 164)."""
+    if file.suffix.lower() in UFF_SUFFIXES and file.is_file() and any(b.kind == 164 for b in read_blocks(file, [])):
+        return None
+    return next(unit for unit, own in LENGTHS.items() if own == metres)
+
+
+def _solved(model: StructuralModel, read: ReadMatrices) -> tuple[Modes, pd.DataFrame, tuple[str, ...]]:
+    """Modes of the model, the first with the element set of most strain energy, and how many rigid-body motions."""
     try:
-        found = model.modes({}, min(MODES, model.n_dof))
+        found = model.modes({}, min(MODES + _BEYOND, model.n_dof))
     except EvaluationError as fault:
         diagonal = model.stiffness(model.space.si(model.space.values)).diagonal()
         words, remedy = str(fault), "do stiffness, mass and rows belong to one run, and is the mass the mass?"
@@ -323,69 +332,14 @@ def _solved(model: StructuralModel, read: ReadMatrices) -> tuple[pd.DataFrame, t
             words = f"the stiffness at {_row_words(model, k)} is {diagonal[k]:.4g}"
             remedy = "correct the sign of the stiffness matrix"
         raise InputError(f"its modes cannot be solved ({words})", place=f"model {model.name}", remedy=remedy) from None
-    freq = np.asarray(found.natural_freq)
+    freq = np.asarray(found.natural_freq)[:MODES]
     rigid = sum(one.kind == "zero" for one in found.excluded)
     notes = (f"{count(rigid, 'rigid-body motion')}: the model is free.",) if rigid else ()
     table = pd.DataFrame({"mode": np.arange(1, len(freq) + 1), "freq": freq})
     every = len(read.dofs["node"].dropna().unique())
     sets = [name for name, nodes in read.sets.items() if len(nodes) < every]
     if sets:
-        shares = model.energy_shares({}, found.shapes, sets)
+        shares = model.energy_shares({}, found.shapes[:, : len(freq)], sets)
         table["set"] = [sets[k] for k in shares.argmax(axis=0)]
         table["energy_share"] = shares.max(axis=0)
-    return table, notes
-
-
-def _against(
-    model: StructuralModel, own: MeasuredModes, table: pd.DataFrame
-) -> tuple[pd.DataFrame, tuple[str, ...], tuple[str, ...]]:
-    """The table with the code's own modes, and whether the model has them."""
-    known = {label: k for k, label in enumerate(model.labels)}
-    moved = np.diff(model.dofs.expansion.indptr) > 0
-    index = {s: 6 * known[s.node] + DIRECTIONS.index(s.direction) for s in own.sensors if s.node in known}
-    seen = [s for s, k in index.items() if moved[k]]
-    nodes = list(dict.fromkeys(s.node for s in seen))
-    picked = set(nodes[:: len(nodes) // _NODES + 1])
-    used = [k for k, s in enumerate(own.sensors) if s in index and moved[index[s]] and s.node in picked]
-    first = slice(0, min(len(table), own.n_modes))
-    sensors = tuple(replace(own.sensors[k], point=None) for k in used)
-    cut = replace(
-        own, names=own.names[first], natural_freq=own.natural_freq[first], damped_freq=own.damped_freq[first],
-        freq_std=own.freq_std[first], damping_ratio=own.damping_ratio[first], damping_std=own.damping_std[first],
-        sensors=sensors, shapes=own.shapes[used][:, first], shape_std=own.shape_std[used][:, first],
-    )  # fmt: skip
-    notes = tuple(own.notes)
-    if not sensors:
-        notes += (
-            "The code's shapes have no node of the model, so that frequencies are compared in ascending order. Of "
-            "CalculiX ask for OUTPUT=2D in the first step of the deck.",
-        )
-    from calib.api.problem import Problem
-
-    try:
-        found = compared(Problem(model, ModalTest(cut, mode_count=len(table))), None).table
-    except EvaluationError as fault:
-        return table, notes, (f"The code's own modes could not be compared: {fault}.",)
-    paired = found.dropna(subset=["model_mode"]).set_index("model_mode")
-    out = table.copy()
-    out["code_freq"] = out["mode"].map(paired["natural_freq_measured"])
-    out["freq_error"] = out["freq"] / out["code_freq"] - 1
-    out["mac"] = out["mode"].map(paired["mac"]) if "mac" in paired else np.nan
-    lost = len(cut.names) - len(paired)
-    remedy = "Do modes and matrices come from one model, with the same supports and loads?"
-    if not len(paired):
-        return table, notes, (f"None of the {len(cut.names)} modes of the code is one of the imported model. {remedy}",)
-    worst, least = out["freq_error"].abs().max(), out["mac"].min()
-    mac = f", and MAC is at least {least:.5f}" if np.isfinite(least) else ""
-    words = f"Frequencies differ from those of the code by at most {worst:.1e}{mac}"
-    if lost or worst > FREQ_AGREES or least < MAC_AGREES:
-        more = f"; {count(lost, 'mode')} of the code without a partner" if lost else ""
-        apart = np.abs(table["freq"].to_numpy()[:, None] / cut.natural_freq - 1).min(axis=0).max()
-        if apart < FREQ_AGREES:
-            words = f"Frequencies are those of the code within {apart:.1e}{mac}"
-            remedy = (
-                "So the matrices are right, and shapes differ at nodes: does the code print them in global directions? "
-                "Where beams and shells became solids, a node may move otherwise than the mean of its layers."
-            )
-        return out, notes, (f"{words}{more}. {remedy}",)
-    return out, (*notes, f"{words}: the imported model has the code's own modes."), ()
+    return found, table, notes

@@ -14,7 +14,8 @@ import pandas as pd
 import scipy.sparse as sp
 
 from calib.api.entries.entry import count
-from calib.api.fe_import import FREQ_AGREES, MAC_AGREES, Imported
+from calib.api.fe_agreement import CLOSE, FREQ_AGREES, MAC_AGREES, within
+from calib.api.fe_import import Imported
 from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, toml_text, write_study
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.retry import Retrying
@@ -32,8 +33,6 @@ from calib.study.study_file import StudyFile
 
 _FRESH = ((0.17, 0.83, 0.35, 0.65), (0.83, 0.35, 0.65, 0.17))
 """Checked points: parts of the way between the limits, taken in turn by the parameters."""
-_CLOSE = 1e-3
-"""Relative distance of frequencies below which shapes are compared as the motions that they span together."""
 _NODES = 100
 """Nodes at which shapes are compared."""
 _GENERIC = 'effects = "generic"              # composed of parts, supports and points of the model\n'
@@ -258,18 +257,10 @@ def _against_solver(model: StructuralModel, values: Mapping[str, float], own: Me
     shapes = np.asarray(model.dofs.expansion[[index[i] for i in used]] @ found.shapes).real
     theirs = own.shapes[used].real
     # A last mode whose neighbour the solver did not compute spans nothing with it.
-    if n < len(freq) and freq[n] < (1 + _CLOSE) * freq[n - 1] and n > 1:
+    if n < len(freq) and freq[n] < (1 + CLOSE) * freq[n - 1] and n > 1:
         n -= 1
     rows = []
     for j in range(n):
-        group = np.flatnonzero(np.abs(code / code[j] - 1) < _CLOSE)
-        rows.append((j + 1, freq[j], code[j], freq[j] / code[j] - 1, _within(shapes[:, j], theirs[:, group])))
+        group = np.flatnonzero(np.abs(code / code[j] - 1) < CLOSE)
+        rows.append((j + 1, freq[j], code[j], freq[j] / code[j] - 1, within(shapes[:, j], theirs[:, group])))
     return pd.DataFrame(rows, columns=["mode", "freq", "code_freq", "freq_error", "mac"])
-
-
-def _within(shape: np.ndarray, others: np.ndarray) -> float:
-    """MAC of a shape with the motions that others span; NaN without sensors."""
-    if not len(shape):
-        return float("nan")
-    part = others @ np.linalg.lstsq(others, shape, rcond=None)[0]
-    return float(part @ part / (shape @ shape))

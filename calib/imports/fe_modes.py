@@ -54,7 +54,8 @@ def read_fe_modes(
 ) -> MeasuredModes:
     """Read the modes that a finite-element code has computed.
 
-    Rigid-body modes are left out and noted. Units of shapes do not matter: each is scaled to a largest modulus of 1.
+    Rigid-body modes are left out and noted. Each shape is scaled to a largest modulus of 1, so that its unit does not
+    matter; beside rotations, which are in rad whatever the unit of length, translations are converted to m.
 
     Parameters
     ----------
@@ -66,7 +67,8 @@ def read_fe_modes(
     coordinates : Path, optional
         Where the file has none: a table ``node, x, y, z`` in m, a deck or a mesh; see `read_coordinates`.
     length_unit : str, optional
-        Of coordinates in files that do not state it, such as ``mm``; by default m.
+        Of coordinates, and of translations beside rotations, in files that do not state it, such as ``mm``; by default
+        m.
 
     Raises
     ------
@@ -84,6 +86,7 @@ def read_fe_modes(
             file, shapes=() if shapes is None else shapes, sensors=coordinates if is_table else None,
             length_unit=length_unit if suffix in UFF_SUFFIXES else None,
         )  # fmt: skip
+        found = found if suffix in UFF_SUFFIXES else replace(found, shapes=_beside_rotations(found, metres))
         return found if coordinates is None or is_table else _placed(found, read_coordinates(coordinates, metres))
     reader = {".frd": read_frd, ".fil": read_fil, ".op2": read_op2}.get(suffix, read_printed)
     freq, motions, points, notes = reader(file)
@@ -93,7 +96,16 @@ def read_fe_modes(
     read = ReadModes(freq, motions, {n: _scaled(p, metres) for n, p in points.items()}, notes)
     if coordinates is not None:
         read = ReadModes(freq, motions, read_coordinates(coordinates, metres), notes)
-    return _as_modes(file, read)
+    found = _as_modes(file, read)
+    return replace(found, shapes=_beside_rotations(found, metres))
+
+
+def _beside_rotations(found: MeasuredModes, metres: float) -> np.ndarray:
+    """Shapes whose translations, in a unit of so many metres, are in m where rotations (rad) stand beside them."""
+    moves = np.array([DIRECTIONS.index(s.direction) < 3 for s in found.sensors], dtype=bool)
+    if moves.all() or metres == 1:
+        return found.shapes
+    return found.shapes * np.where(moves, metres, 1.0)[:, None]
 
 
 def _without_own_axes(

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import eigh
 
 import calib
 from calib.command import cli
@@ -185,3 +186,48 @@ def test_shapes_that_differ_where_frequencies_agree_do_not_accuse_the_matrices(t
     (own := tmp_path / "modes.dat").write_text("\n".join(listing) + "\n")
     found = calib.import_matrices(EXPORTS / "solid.sti", modes=own)
     assert len(found.warnings) == 1 and "matrices are right" in found.warnings[0]
+
+
+def own_modes(home, k, m, rows, count, turn=0.0):
+    """Tables of what a code computes of its matrices, in its own units; ``turn`` mixes modes of equal frequency."""
+    squares, shapes = eigh(k, m)
+    shapes[:, 1:-1:2], shapes[:, 2::2] = (
+        np.cos(turn) * shapes[:, 1:-1:2] + np.sin(turn) * shapes[:, 2::2],
+        np.cos(turn) * shapes[:, 2::2] - np.sin(turn) * shapes[:, 1:-1:2],
+    )
+    freq = np.sqrt(squares[:count]) / (2 * np.pi)
+    names = "x y z rx ry rz".split()
+    (home / "own.csv").write_text(
+        "mode,freq,freq_kind\n" + "".join(f"{j + 1},{f!r},natural\n" for j, f in enumerate(map(float, freq)))
+    )
+    (home / "own_shapes.csv").write_text(
+        "mode,node,direction,re\n"
+        + "".join(f"{j + 1},{n},{names[d - 1]},{shapes[i, j]:.9g}\n" for j in range(count)
+                  for i, (n, d) in enumerate(rows))
+    )  # fmt: skip
+    np.savez(home / "a.npz", K=k, M=m, dofs=rows)
+    return calib.import_matrices(
+        home / "a.npz", units="mm-t-N", modes=home / "own.csv", modes_shapes=home / "own_shapes.csv"
+    )
+
+
+def test_translations_of_the_code_are_in_its_unit_of_length_beside_rotations_in_rad(tmp_path):
+    n, ei, mass = 6, 1e9, 1e-4  # a cantilever of beam elements of 100 mm, in N, mm, t
+    k, m = np.zeros((2 * n + 2, 2 * n + 2)), np.diag(np.tile([mass, 0.2 * mass * 100**2], n + 1))
+    lines = [12, 600, -12, 600], [600, 4e4, -600, 2e4], [-12, -600, 12, -600], [600, 2e4, -600, 4e4]
+    element = ei / 100**3 * np.array(lines)
+    for j in range(n):
+        k[2 * j : 2 * j + 4, 2 * j : 2 * j + 4] += element
+    rows = [[node, d] for node in range(1, n + 1) for d in (2, 6)]
+    found = own_modes(tmp_path, k[2:, 2:], m[2:, 2:], rows, 6)
+    assert not found.warnings and found.modes["mac"].min() > 0.9999
+
+
+@pytest.mark.parametrize("count", [10, 11])
+def test_a_pair_of_equal_modes_that_the_list_cuts_is_compared_as_one_motion(tmp_path, count):
+    chain = 1e4 * (2 * np.eye(7) - np.eye(7, k=1) - np.eye(7, k=-1))
+    k = np.zeros((15, 15))
+    k[0, 0], k[1:8, 1:8], k[8:, 8:] = 10.0, chain, chain
+    rows = [[99, 1], *([node, d] for d in (2, 3) for node in range(1, 8))]
+    found = own_modes(tmp_path, k, 1e-3 * np.eye(15), rows, count, turn=0.7)
+    assert not found.warnings and len(found.modes.dropna()) == 10 and found.modes["mac"].min() > 0.9999
