@@ -25,7 +25,7 @@ NEIGHBOUR = 0.1
 REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
-_AT_ONCE = 2_000_000
+_AT_ONCE = 200_000
 """Largest number of entries, of all parameters, degrees of freedom and modes, that are multiplied together."""
 
 _FREE = 1e-4
@@ -90,14 +90,18 @@ class _Modes:
     def _pushed(self, i: int, combine: Callable[..., np.ndarray], *kinds: int) -> Iterable[np.ndarray]:
         """Of each parameter what is combined of derivatives of K, C and M (0, 1, 2) times a mode's shape, (n_dof,)."""
         if sp.issparse(self.k) or 3 * len(self.slopes) * self.all[:, : len(self.squares)].size > _AT_ONCE:
-            return [combine(*(times(slope[kind], self.all[:, i]) for kind in kinds)) for slope in self.slopes]
+            return (combine(*(times(slope[kind], self.all[:, i]) for kind in kinds)) for slope in self.slopes)
         return combine(*(self._every_product[kind, :, :, i] for kind in kinds))
 
     @cached_property
     def _every_product(self) -> np.ndarray:
         """Derivatives of K, C and M by each parameter times the shapes of all modes, (3, n_params, n_dof, n_modes)."""
         shapes = self.all[:, : len(self.squares)]
-        return np.array([[times(slope[kind], shapes) for slope in self.slopes] for kind in range(3)])
+        products = np.empty((3, len(self.slopes), *shapes.shape), dtype=shapes.dtype)
+        for q, slope in enumerate(self.slopes):
+            for kind, matrix in enumerate(slope):
+                products[kind, q] = times(matrix, shapes)
+        return products
 
     def _factor(self, shift: float) -> spla.SuperLU:
         """Of ``K - shift M``; the last one is kept."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 import scipy.sparse as sp
@@ -47,8 +47,11 @@ class ReducedTerm:
 
     @cached_property
     def kept(self) -> np.ndarray:
-        """The same, cached on first use: few of many terms enter the evaluations."""
-        return self.projected()
+        """Its lower triangle row by row, cached on first use: few of many terms enter the evaluations.
+
+        That of a block over leading vectors only is the beginning of one over all.
+        """
+        return self.projected()[_lower(self.size)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,11 +76,17 @@ class ReducedMatrix:
 
     def __call__(self, si: Mapping[str, float]) -> np.ndarray:
         """The matrix at parameters in SI, (size, size)."""
-        out = np.zeros((self.size, self.size))
+        out, triangle = np.zeros((self.size, self.size)), np.zeros(self.size * (self.size + 1) // 2)
         for term, block in zip(self.affine.terms, self.blocks, strict=True):
             factor = term.coefficient(si)
-            if factor:
-                _add(out, factor, block.kept)
+            if factor and block.rows is None:
+                _add(out, factor, block.matrix)
+            elif factor:
+                triangle[: len(block.kept)] += factor * block.kept
+        if any(block.rows is not None for block in self.blocks):
+            lower = _lower(self.size)
+            out[lower] += triangle
+            out.T[lower] += np.where(_diagonal(self.size), 0.0, triangle)
         for selected, vectors in zip(self.affine.selected, self.vectors, strict=True):
             b = vectors[selected.choice(si)]
             out += selected.coefficient(si) * np.outer(b, b)
@@ -148,6 +157,18 @@ class ReducedSlope:
         for factor, b in self.picked:
             out += factor * np.outer(b, b)
         return out
+
+
+@lru_cache(maxsize=4)
+def _lower(size: int) -> np.ndarray:
+    """Which entries of a matrix are in its lower triangle, the diagonal included."""
+    return np.tri(size, dtype=bool)
+
+
+@lru_cache(maxsize=4)
+def _diagonal(size: int) -> np.ndarray:
+    """Which entries of a lower triangle are on the diagonal."""
+    return np.eye(size, dtype=bool)[_lower(size)]
 
 
 def _add(matrix: np.ndarray, factor: float, block: np.ndarray) -> None:
