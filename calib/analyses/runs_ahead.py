@@ -15,11 +15,11 @@ from calib.study.several import AnyStudy
 
 _STEPS = 5
 """Steps of least squares on numbers from one start to its end, in the usual case."""
-_FIT = (9, 6)
-"""Runs for modes from one start to its end, and more of them for each parameter: the geometric mean of 22 and 50, which
+_FIT = (7, 5)
+"""Runs for modes from one start to its end, and more of them for each parameter: the geometric mean of 22 and 34, which
 the frame in CalculiX takes with its four without and with a stated accuracy."""
-_EXPLAIN = (38, 15)
-"""The same of an explanation from a calibrated model, of 79 and 121."""
+_EXPLAIN = (32, 11)
+"""The same of an explanation from a calibrated model, of 70 and 83."""
 _EFFECT = 25
 """Runs for a listed effect that is fitted; assumed."""
 _AGREE = 6

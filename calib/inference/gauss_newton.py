@@ -58,6 +58,7 @@ class FitSettings:
     evaluated_end : bool
         Whether derivatives are evaluated at the end where they were updated: standard deviations need that, a ranking
         does not.
+        With ``near_end`` they may be those evaluated near it, which is enough for a verdict.
     """
 
     iterations: int = 50
@@ -70,6 +71,7 @@ class FitSettings:
     evaluations: float = math.inf
     costly: float = 100.0
     evaluated_end: bool = True
+    near_end: bool = False
 
 
 DEFAULT = FitSettings()
@@ -77,9 +79,11 @@ _POOR = 0.25
 """Actual over predicted decrease below which derivatives that were updated are evaluated again."""
 _SAME = 0.1
 """Part of a step that failed by which another must differ to be worth an evaluation."""
-
 _COSTLY = 100.0
 """Factor of the noise below which few failures end a fit where each derivative costs evaluations; assumed."""
+_NEAR = 0.01
+"""Part of the range within which derivatives that were evaluated hold: a step that fails so near to them, where a mode
+loses its partner, fails whatever they are (assumed)."""
 _HERE = 1e-3
 """Part of the range; a shorter step says more about the rounding of a solver than about derivatives (assumed)."""
 
@@ -115,7 +119,7 @@ class FitResult:
     jacobian : ndarray (n_rows, n_params)
         At the end, for `calib.inference.identify`.
     evaluated : bool
-        Whether it was evaluated there, and not updated; see `FitSettings`.
+        Whether it was evaluated there or near, and not updated; see `FitSettings`.
     """
 
     names: tuple[str, ...]
@@ -168,6 +172,7 @@ def fit(
     settings: FitSettings = DEFAULT,
     step: Step = unstepped,
     slope: np.ndarray | None = None,
+    exact: bool = False,
 ) -> FitResult:
     """Minimise ``|residual|^2 + sum ((theta - centre)/sd)^2`` within limits and linear constraints.
 
@@ -175,7 +180,8 @@ def fit(
     between its limits, along its scale; the damping follows the ratio of actual to predicted decrease (Nielsen 1999).
     Where a problem says that derivatives are differences (``by_differences``), each of which costs evaluations, the
     Jacobian is updated after every step by what the residual there says (Broyden 1965). It is evaluated at the start,
-    where a step fails or gains much less than predicted, and at the end.
+    where a step fails or gains much less than predicted (near a point where that was done it is taken from there), and
+    at the end.
     Every step is the exact minimum of the damped quadratic model within all limits and
     constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
     Integer parameters stay at their start.
@@ -195,7 +201,7 @@ def fit(
         Called before every step with the share of the way to convergence that is behind.
     slope : ndarray (n_rows, n_params), optional
         An estimate of the Jacobian at the start, such as that of a model with one effect less: where derivatives cost
-        evaluations the fit begins with it.
+        evaluations the fit begins with it; ``exact`` says that it is no estimate.
 
     Raises
     ------
@@ -204,7 +210,7 @@ def fit(
     EvaluationError
         When the start cannot be evaluated.
     """
-    return finished(fit_steps(problem, space, start, prior, settings, step, slope))
+    return finished(fit_steps(problem, space, start, prior, settings, step, slope, exact))
 
 
 def finished(steps: Generator[Request, None, T]) -> T:
@@ -225,6 +231,7 @@ def fit_steps(
     settings: FitSettings = DEFAULT,
     step: Step = unstepped,
     slope: np.ndarray | None = None,
+    exact: bool = False,
 ) -> Generator[Request, None, FitResult]:
     """`fit`, which stops before every evaluation and tells it, so that several fits can be evaluated together."""
     region = Region.of(space, space.complete(dict(start or {})))
@@ -237,14 +244,16 @@ def fit_steps(
         raise raised_anew(search.fault, f"the fit cannot start: {search.fault}")
     mu, growth = 0.0, 2.0
     costly = bool(getattr(problem, "by_differences", False))
-    rows: list[tuple[float, ...]] = []
-    rows.append((0, here.misfit, here.data, here.prior, 0.0, math.nan))
+    rows: list[tuple[float, ...]] = [(0, here.misfit, here.data, here.prior, 0.0, math.nan)]
     iteration, rejected, reason, converged, poor, little = 0, 0, "", False, False, False
     first = math.nan
     updated = costly and slope is not None
-    if slope is None or not updated:
+    known = (here.x, slope) if slope is not None and updated and exact else None
+    updated = updated and not exact
+    if slope is None or not costly:
         yield here.values, region.names
         slope = search.slope(here)
+        known = here.x, slope
     while True:
         matrix, right = search.system(here, slope)
         free_step = region.step(matrix, right, 0.0, here.x)
@@ -256,8 +265,11 @@ def fit_steps(
         last = iteration >= settings.iterations or search.evaluations >= settings.evaluations
         # An end rests on derivatives, and so does a step that must be better.
         if updated and (poor or ((enough or last) and settings.evaluated_end)):
-            yield here.values, region.names
-            slope, updated = search.slope(here), False
+            within = _NEAR if poor or settings.near_end else 0.0
+            if known is None or float(np.max(np.abs(here.x - known[0]))) > within:
+                yield here.values, region.names
+                known = here.x, search.slope(here)
+            slope, updated = known[1], False
             continue
         if enough:
             reason, converged = "no step promises to lower the misfit", True
@@ -281,7 +293,9 @@ def fit_steps(
             trial = search.at(there_x)
             if trial is not None and trial.misfit < here.misfit:
                 ratio = (here.misfit - trial.misfit) / max(_promise(matrix, right, move), 1e-300)
-                mu, growth = mu * max(1 / 10, 1 - (2 * ratio - 1) ** 3), 2.0
+                if not (costly and failed):  # where a longer step has just failed the next one is not longer
+                    mu *= max(1 / 10, 1 - (2 * ratio - 1) ** 3)
+                growth = 2.0
                 there, rejected, poor = trial, 0, ratio < _POOR
             elif updated:
                 poor = True
@@ -311,22 +325,11 @@ def fit_steps(
         here, slope = there, search.slope(there)
     limits, constraints = region.active(here.x)
     return FitResult(
-        names=region.names,
-        values=here.values,
-        data_misfit=here.data,
-        prior_misfit=here.prior,
-        iterations=iteration,
-        evaluations=search.evaluations,
-        jacobians=search.jacobians,
-        converged=converged,
-        reason=reason,
-        active_limits=limits,
-        active_constraints=constraints,
-        steps=tuple(rows),
-        residual=here.residual,
-        jacobian=slope,
-        evaluated=not updated,
-    )
+        names=region.names, values=here.values, data_misfit=here.data, prior_misfit=here.prior, iterations=iteration,
+        evaluations=search.evaluations, jacobians=search.jacobians, converged=converged, reason=reason,
+        active_limits=limits, active_constraints=constraints, steps=tuple(rows), residual=here.residual,
+        jacobian=slope, evaluated=not updated,
+    )  # fmt: skip
 
 
 def _behind(first: float, promised: float, enough: float) -> float:

@@ -156,7 +156,7 @@ class _Search:
         weight, base = self.weight(accuracies), self.found.base.fit
         problem = Altered(self.hypotheses.fit_problem(()), 1.0 / weight)
         known = {name: self.found.noise_scale * weight * column for name, column in base.columns.items()}
-        return least_squares_fit(problem, (), dict(start), settings=_UPDATED, columns=known)
+        return least_squares_fit(problem, (), dict(start), settings=_UPDATED, columns=known, exact=start == base.values)
 
     def p_fit(self, fit: LinearisedFit, accuracies: Mapping[str, float]) -> float:
         """Goodness of a fit that has these weights."""

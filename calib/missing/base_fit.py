@@ -28,7 +28,7 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
     """
     fits.announce("calibrating the base model")
     fit_problem = fits.fit_problem(())
-    found = []
+    found, known = list[CandidateFit](), None
     if start is not None and fits.by_differences and not only:
         known = fits.candidate_fit((), {**fit_problem.space.values, **start}, settings=replace(FINE, iterations=0))
         if known.fit.converged:  # not so where what is uncertain is fitted along
@@ -39,7 +39,10 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
         before = float(np.sum(fit_problem.residual(there) ** 2) + shift @ shift)
         found = [fits.candidate_fit((), there)]
         if only or not _is_lower(found[0].fit, before):
-            return found[0]
+            # What is known there, such as derivatives, holds for a base fit that is the calibration.
+            return (
+                found[0] if known is None else replace(known, fit=replace(known.fit, converged=found[0].fit.converged))
+            )
     whole = 0 if fits.spent(RULES.early) else 1
     begin = nearest_whole(fit_problem, fit_problem.space.values)
     linear = fits.hypotheses.linear_start((), begin)

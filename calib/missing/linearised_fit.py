@@ -22,7 +22,7 @@ from calib.missing.nearest_integers import other_whole
 from calib.missing.rules import RULES
 from calib.problem.prior import Prior
 
-FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40)
+FINE = FitSettings(iterations=15, gain=2e-3, relative=1e-5, rejections=8, evaluations=40, near_end=True)
 """For the verdict. A decrease of the sum of squares by a few thousandths is negligible for it; a converging fit needs
 about ten residuals, up to 40 when integer parameters move."""
 ROUGH = FitSettings(iterations=6, gain=0.05, relative=3e-4, rejections=4, evaluated_end=False)
@@ -228,6 +228,7 @@ def least_squares_fit(
     settings: FitSettings = FINE,
     step: Step = unstepped,
     columns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    exact: bool = False,
 ) -> LinearisedFit:
     """Fit a problem from a start.
 
@@ -246,14 +247,15 @@ def least_squares_fit(
     step : callable
         Called before every step; see `calib.inference.gauss_newton.fit`.
     columns : mapping from str to ndarray (n_rows,)
-        About the columns of its slope at the start; see `calib.inference.gauss_newton.fit`. Used where all are given.
+        About the columns of its slope at the start, or with ``exact`` those; see `calib.inference.gauss_newton.fit`.
+        Used where all are given.
 
     Raises
     ------
     EvaluationError
         When the start cannot be evaluated.
     """
-    fit, used = _fitted(fit_problem, effects, start, settings, step, columns)
+    fit, used = _fitted(fit_problem, effects, start, settings, step, columns, exact)
     for turn in range(_TURNS if whole else 0):
         if used >= settings.evaluations:
             break
@@ -330,6 +332,7 @@ def _fitted(
     settings: FitSettings,
     step: Step,
     columns: Mapping[str, np.ndarray] = MappingProxyType({}),
+    exact: bool = False,
 ) -> tuple[LinearisedFit, int]:
     """The fit with the integers of the start, and the number of residuals evaluated."""
     space = fit_problem.space
@@ -338,24 +341,16 @@ def _fitted(
     names = [p.name for p in space.free if not p.integer]
     known = [columns[name] for name in names if name in columns]
     slope = -np.column_stack(known) if known and len(known) == len(names) else None
-    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step, slope)
+    result = gauss_newton(fit_problem, space, {**start, **inside}, prior, settings, step, slope, exact)
     sd, shift = prior.widths(result.values, result.names), prior.residual(result.values, result.names)
     others = _correlated(prior, result.values, result.names)
     descent = -result.jacobian.T @ result.residual - shift / sd
     descent += 0.0 if others is None else others.slope.T @ others.residual
     fit = LinearisedFit(
-        effects=effects,
-        fit_problem=fit_problem,
-        names=result.names,
-        values=result.values,
-        residual=result.residual,
-        slope=-result.jacobian,
-        prior_sd=sd,
-        shift=shift,
-        converged=result.converged and result.evaluated,
-        others=others,
-        active=active_limits(space, result.names, result.values, descent),
-    )
+        effects=effects, fit_problem=fit_problem, names=result.names, values=result.values, residual=result.residual,
+        slope=-result.jacobian, prior_sd=sd, shift=shift, converged=result.converged and result.evaluated,
+        others=others, active=active_limits(space, result.names, result.values, descent),
+    )  # fmt: skip
     return fit, result.evaluations
 
 

@@ -111,12 +111,12 @@ class Refits:
 
     def candidate_fit(
         self, names: tuple[str, ...], start: dict[str, float], whole: int = 0, settings: FitSettings = FINE,
-        columns: Mapping[str, np.ndarray] = MappingProxyType({}),
+        columns: Mapping[str, np.ndarray] = MappingProxyType({}), exact: bool = False,
     ) -> CandidateFit:  # fmt: skip
         """The model with the named effects or local perturbations, fitted from a start by `least_squares_fit`."""
-        problem = self.fit_problem(names)
+        problem, limited = self.fit_problem(names), self.affordable(settings)
         return self._candidate_fit(
-            names, least_squares_fit(problem, names, start, whole, self.affordable(settings), self._step, columns)
+            names, least_squares_fit(problem, names, start, whole, limited, self._step, columns, exact)
         )
 
     def announce(self, stage: str) -> None:
@@ -199,10 +199,12 @@ class Refits:
         start can be evaluated. ``columns`` are about those of the slope at the starts, see `columns`.
         """
         fits: list[CandidateFit] = []
+        still = {name: self.by_name[name].magnitude.value for name in names}
 
         def follow(start: dict[str, float]) -> None:
+            at = self.by_differences and all(start.get(name) == value for name, value in still.items())
             try:
-                fits.append(self.candidate_fit(names, start, settings=ROUGH, columns=columns))
+                fits.append(self.candidate_fit(names, start, settings=ROUGH, columns=columns, exact=at))
             except EvaluationError:
                 return
 
@@ -234,7 +236,7 @@ class Refits:
     def followed(self, candidate_fit: CandidateFit, whole: int = 0, settings: FitSettings = FINE) -> CandidateFit:
         """Refine a fit; the fit itself where that does not lower the sum of squares."""
         fit = candidate_fit.fit
-        further = self.candidate_fit(candidate_fit.names, fit.values, whole, settings, fit.columns)
+        further = self.candidate_fit(candidate_fit.names, fit.values, whole, settings, fit.columns, fit.converged)
         return further if further.fit.misfit <= candidate_fit.fit.misfit else candidate_fit
 
     def _candidate_fit(self, names: tuple[str, ...], fit: LinearisedFit) -> CandidateFit:
@@ -308,9 +310,12 @@ class Refits:
         """Fit of one local perturbation, refined where it comes near the best effect."""
         starts, columns = self.starts(base.fit, found, name)[:1], self.columns(base.fit, found, name)
         perturbation = self.best_of((*base.names, name), starts, base, columns)
-        if self.spent():
+        if self.spent() or perturbation is None:
             return perturbation
-        if perturbation is not None and best.ln_evidence - perturbation.ln_evidence < RULES.close:
+        gained = perturbation.fit.misfit < base.fit.misfit
+        if self.by_differences and (perturbation.fit.converged or not gained):
+            return perturbation  # each further step costs runs
+        if best.ln_evidence - perturbation.ln_evidence < RULES.close:
             perturbation = self.followed(perturbation)
         return perturbation
 

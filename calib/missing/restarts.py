@@ -111,7 +111,8 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
 
     A gross fault drags the base fit with it: a channel of the wrong sign is then fitted among parameters that have
     gone along with it, and looks implausible. Those fitted before and those with the largest scores at the nominal
-    values are tried; a fit replaces an earlier one only if its sum of squares is smaller.
+    values are tried, where derivatives cost evaluations without exchanges that make the sum of squares larger there; a
+    fit replaces an earlier one only if its sum of squares is smaller.
     """
     h, best = fits.hypotheses, {t.names[0]: t for t in faults}
     if not h.faults:
@@ -125,12 +126,28 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
         return tuple(faults)
     known = [name for name in best if name in found.owners]
     for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.family.promising(found)))):
+        if fits.by_differences and not _may_be_whole(fits, nominal, name):
+            continue
         refit = fits.best_of((name,), fits.starts(nominal, found, name), base, fits.columns(nominal, found, name))
         if refit is not None and (name not in best or refit.fit.misfit < best[name].fit.misfit):
             best[name] = refit
     ranked = fits.settled(tuple(best.values()), RULES.credible)
     # Integers that the base fit chose with the fault in its data may be others without it.
     return tuple([fits.moved(ranked[0]) or ranked[0], *ranked[1:]]) if ranked else ()
+
+
+def _may_be_whole(fits: Refits, nominal: LinearisedFit, name: str) -> bool:
+    """Whether a fault lowers the sum of squares at the nominal values where it is there wholly, if it is one of those.
+
+    That needs no run of the model; a fit does, and one that ends at a part of such a fault tells nothing.
+    """
+    if not fits.by_name[name].whole:
+        return True
+    try:
+        residual = fits.fit_problem((name,)).residual({**nominal.values, name: 1.0})
+    except EvaluationError:
+        return False
+    return float(residual @ residual) < float(nominal.residual @ nominal.residual)
 
 
 def _starts(fits: Refits, effects: Sequence[Candidate]) -> list[_Start]:

@@ -4,6 +4,7 @@ import itertools
 import math
 from collections import namedtuple
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -339,3 +340,36 @@ def test_many_rows_of_a_shape_hide_no_minimum_further_on(start):
     assert fit_mixed(problem, space, [{"p0": 0.9}], Prior.none(), first=first).best.values["p0"] == 0.9
     assert set(problem.asked[asked:]) == {0.9}
     assert EvenWeights.of(Shapes(20)) is None
+
+
+@dataclass
+class Stepped(Bent):
+    """The same whose sum of squares rises by 900 where a mode would lose its partner: just before the optimum."""
+
+    places: list = field(default_factory=list)
+
+    def residual(self, values):
+        return np.append(super().residual(values), 30.0 if values["p0"] < 2.7 + 1e-3 else 0.0)
+
+    def jacobian(self, values, names):
+        self.places.append([values[n] for n in names])
+        return np.vstack([super().jacobian(values, names), np.zeros(len(names))])
+
+
+def test_derivatives_are_not_evaluated_again_where_they_are_known_nearby():
+    """Every step to the optimum fails at the edge, where other derivatives would not help."""
+    space, problem = box(3, value=1.0), Stepped(True)
+    found = fit(problem, space, {"p0": 3.8, "p1": 0.2, "p2": 3.0})
+    assert found.values["p0"] == pytest.approx(2.7, abs=0.02)
+    ranges = np.array([p.upper - p.lower for p in space.free])
+    apart = [np.abs(np.subtract(a, b) / ranges).max() for a, b in pairwise(problem.places)]
+    assert apart and min(apart) > 0.01
+
+
+def test_a_fit_that_begins_with_the_jacobian_needs_none_there():
+    space, problem = box(3, value=1.0), Bent(True)
+    start = {"p0": 2.7, "p1": 1.9, "p2": 0.4}
+    slope = problem.jacobian(start, space.names)
+    problem.runs = 0
+    found = fit(problem, space, start, Prior.none(), slope=slope, exact=True)
+    assert found.converged and found.evaluated and problem.runs == 1
