@@ -60,6 +60,9 @@ def of_comparison(result: _Compared) -> Answer:
     agreement, tested = found.summary()
     if result.checks:
         then = _check_first(result.checks)
+    elif not len(found.pairing.paired):
+        what = "places and directions of the sensors" if found.measured.has_shapes else "the units of both"
+        then = f"Check first: {what}, since no measured mode is one of the model's."
     elif found.far:
         then = f"Check first: the pairing and the units of {enumerated(found.far)}, far off in frequency."
     else:

@@ -23,7 +23,7 @@ from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.expansion import ExpandedShapes, Orthogonality, deflections, expanded_shapes, orthogonality
 from calib.correlation.modal.found_twice import FoundTwice, found_twice
 from calib.correlation.modal.problem import ModalProblem
-from calib.correlation.modal.rigid import unpaired_sentence, unpaired_table
+from calib.correlation.modal.rigid import numbers_hints, unpaired_sentence, unpaired_table
 from calib.correlation.modal.sensors import suspicious_sensors
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.rules import RULES
@@ -107,7 +107,9 @@ class ComparisonResult:
         sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {enumerated(doubtful)}"] if doubtful else []
         data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
         errors = [*(error.check for error in self.gross_errors), *(twice.check for twice in self.found_twice)]
-        return (*data, *errors, *sensors)
+        unsure = self.comparison is not None and numbers_hints(self.comparison)
+        numbers = ["places of the nodes, which are matched by number"] if unsure else []
+        return (*data, *errors, *numbers, *sensors)
 
     @property
     def orthogonality(self) -> Orthogonality | None:
@@ -248,7 +250,9 @@ def comparison_of(
     comparison = problem.compare(values)
     table = comparison.comparison_table()
     sensor_findings = suspicious_sensors(problem, comparison)
-    unit_hints, twice = _frequency_hints(comparison), found_twice(comparison)
+    mac = comparison.mac if comparison.measured.has_shapes else None
+    words = frequency_hint(comparison.measured.natural_freq, comparison.modes.natural_freq, mac)
+    unit_hints, twice = () if words is None else (words,), found_twice(comparison)
     return ComparisonResult(
         table=table,
         mean_freq_error=_mean(table["freq_error"].abs()),
@@ -258,6 +262,7 @@ def comparison_of(
         sensor_findings=sensor_findings,
         chosen=problem.override,
         hints=(
+            *numbers_hints(comparison),
             *hints,
             *unit_hints,
             *(one.sentence for one in twice),
@@ -278,21 +283,13 @@ def _partners(problem: ForwardProblem) -> NodePartners | None:
     return sensor_partners(problem.model, problem.measured.sensors) if isinstance(problem, ModalProblem) else None
 
 
-def _frequency_hints(comparison: Comparison) -> tuple[str, ...]:
-    measured = comparison.measured
-    mac = comparison.mac if measured.has_shapes else None
-    hint = frequency_hint(measured.natural_freq, comparison.modes.natural_freq, mac)
-    return () if hint is None else (hint,)
-
-
 def _scalar_answer(
     problem: FunctionProblem, values: Mapping[str, float], hints: Sequence[str], std_notes: Sequence[str]
 ) -> ComparisonResult:
     responses = named_responses(problem.evaluate, values)
     rows = []
-    for name, (value, std) in getattr(
-        problem, "compared", problem.targets
-    ).items():  # of a kind of its own, the targets
+    targets = getattr(problem, "compared", problem.targets)  # of a kind of its own, the targets
+    for name, (value, std) in targets.items():
         error = (responses[name] - value) / abs(value) if value else np.nan
         in_std = (responses[name] - value) / std if std else np.nan
         rows.append((name, value, responses[name], error, in_std))

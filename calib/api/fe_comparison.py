@@ -16,7 +16,7 @@ from calib.errors.errors import InputError
 from calib.experiment import ModalTest
 from calib.imports.fe_modes import read_fe_modes
 from calib.measurement.files.read import read_modes
-from calib.measurement.modal import MeasuredModes, Sensor
+from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.measurement.partners import NodePartners, node_partners
 from calib.measurement.places import Point
 from calib.problem.space import ParameterSpace
@@ -88,15 +88,17 @@ def compare_modes(
     >>> calib.compare_modes(fe, test).table[["mode", "model_mode", "mac"]].round(3).values.tolist()
     [['1', 1, 1.0], ['2', 2, 1.0]]
     """
-    if length_unit is not None and coordinates is None and str(modes).lower().endswith(".csv"):
-        words = "length_unit is that of computed nodes, and a table of modes has none"
-        raise InputError(words, place=str(modes), remedy="leave it out, or name their coordinates")
     computed = modes if isinstance(modes, MeasuredModes) else read_fe_modes(
         path_of(modes, "modes"),
         shapes=None if modes_shapes is None else path_of(modes_shapes, "modes_shapes"),
         coordinates=None if coordinates is None else path_of(coordinates, "coordinates"),
         length_unit=length_unit,
     )  # fmt: skip
+    if length_unit is not None and not any(s.point or DIRECTIONS.index(s.direction) > 2 for s in computed.sensors):
+        raise InputError(
+            f"length_unit ({length_unit}) is that of computed nodes, and it has no places of nodes", place=str(modes),
+            remedy="name the file that has them, coordinates (--coordinates), or leave length_unit out",
+        )  # fmt: skip
     test = _test(measured, shapes, sensors, computed.n_modes, node_limit)
     if computed.n_modes < test.used.n_modes:
         raise InputError(
@@ -106,7 +108,9 @@ def compare_modes(
     model, partners = model_of_modes(computed, test.measured, test.node_limit)
     found = compared(_problem(model, test), None)
     by_test = {name: _with_own_numbers(answer, partners) for name, answer in found.by_test.items()}
-    by_number = "Measured and computed nodes belong together by their numbers, since not both have coordinates."
+    sides = {"measured (--sensors)": test.measured.sensors, "computed (--coordinates)": computed.sensors}
+    lacking = " and ".join(side for side, own in sides.items() if not any(s.point for s in own))
+    by_number = f"Nodes belong together by their numbers, since {lacking} nodes have no coordinates."
     matched = by_number if partners is None and test.measured.has_shapes else partners.sentence if partners else ""
     notes = (*computed.notes, matched)
     return Compared(by_test, found.studies, tuple(note for note in notes if note))

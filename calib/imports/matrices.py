@@ -148,6 +148,8 @@ def read_matrices(
         if is_calculix:
             table, told = _without_held(table, coordinates)
             notes += told
+    if "x" not in table:
+        notes += ("No coordinates of nodes were given (--coordinates): sensors lie at the nodes of their numbers.",)
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
     edges, sets = _drawn(table, coordinates)
@@ -340,7 +342,7 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
     if not lost.any():
         return out, ()
     if not has_own:
-        words = f"{file.name} does not define node {nodes[lost][0]}: no coordinates are used, and sensors lie at nodes."
+        words = f"{file.name} does not define node {nodes[lost][0]}: no coordinates are used."
         return table, (words,)
     out.loc[lost, ["node", "direction"]] = pd.NA
     count = len(np.unique(nodes[lost]))

@@ -174,6 +174,7 @@ def test_stiffness_and_mass_that_are_exchanged_are_told(tmp_path):
     assert not right.warnings
     wrong = calib.import_matrices(free_bar(tmp_path, K=held), stiffness="M", mass="K")
     assert any("exchanged" in words for words in wrong.warnings)
+    assert any("No coordinates" in note and "--coordinates" in note for note in right.notes)
 
 
 @pytest.mark.medium

@@ -178,6 +178,21 @@ def test_without_coordinates_numbers_count(tmp_path):
         calib.compare_modes(path, calib.modes(FREQ[:2], SHAPES[[1, 2], :2], sensors=["91z", "92z"]))
 
 
+def test_numbers_that_are_other_places_are_told_where_nothing_is_paired(tmp_path, places):
+    (path := tmp_path / "beam.f06").write_text(f06())
+    test = measured()
+    other = np.linalg.svd(SHAPES[:5])[0][:, 3:]  # orthogonal to the modes at the nodes of these numbers
+    unplaced = calib.modes(FREQ[:2], other, sensors=[f"{k + 1}z" for k in range(5)], freq_std=0.1)
+    for given, sides in (({}, "measured nodes and nodes of the model"), ({"coordinates": places}, "measured nodes")):
+        found = calib.compare_modes(path, unplaced, **given)
+        assert any(f"since {sides} have no places" in words and "--sensors" in words for words in found.sentences)
+        assert "places of the nodes" in found.lines["Next"] and "No mode is paired" in found.lines["How sure"]
+    assert "since" not in " ".join(calib.compare_modes(path, test, coordinates=places, length_unit="mm").sentences)
+    own = calib.modes(FREQ[:2], SHAPES[[1, 2, 4], :2], sensors=["2z", "3z", "5z"])
+    with pytest.raises(InputError, match=r"length_unit \(mm\) is that of computed nodes"):
+        calib.compare_modes(calib.modes(FREQ, SHAPES, sensors=[f"{k + 1}z" for k in range(6)]), own, length_unit="mm")
+
+
 def test_of_a_large_model_some_nodes_are_drawn_and_all_measured_ones_compared():
     at = np.linspace(0.0, 1.0, 2001)
     shapes = np.sin(np.pi * np.outer(at, NUMBER)) + 0.1

@@ -1,4 +1,4 @@
-"""Detection of rigid-body motion in measured modes."""
+"""Why measured modes have no partner: rigid-body motion, or nodes of the same number at other places."""
 
 from __future__ import annotations
 
@@ -103,6 +103,25 @@ def unpaired_sentence(table: pd.DataFrame, model: str) -> str:
             f"(at least {least} % of the power): check how the structure is supported."
         )
     return words
+
+
+def numbers_hints(found: Comparison) -> tuple[str, ...]:
+    """A sentence where most measured modes have no partner and numbers of nodes decide, as places are not known."""
+    measured, n = found.measured, found.measured.n_modes
+    lost = n - len(found.pairing.paired)
+    if 2 * lost <= n or not measured.has_shapes:
+        return ()
+    placed = getattr(found.model, "whole", found.model).mesh.placed
+    sides = [("measured nodes", "sensors, --sensors", any(s.point is not None for s in measured.sensors)),
+             ("nodes of the model", "coordinates, --coordinates", len(placed) > 0 and placed.all())]  # fmt: skip
+    lacking = [(side, option) for side, option, known in sides if not known]
+    if not lacking:
+        return ()
+    return (
+        f"{lost} of {n} measured modes have no partner, and nodes are matched by number, since "
+        f"{' and '.join(side for side, _ in lacking)} have no places. Give these "
+        f"({' and '.join(option for _, option in lacking)}) unless a number is the same place on both sides.",
+    )
 
 
 class BothMeshes(NamedTuple):
