@@ -279,7 +279,7 @@ def _row_words(model: StructuralModel, k: int) -> str:
 
 
 def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The mass that moves in each direction, and what is odd in it."""
+    """The mass that moves in each direction, and what is odd in it; InputError for a mass that is a stiffness."""
     inertia = sp.csr_array(model.mass(model.space.si(model.space.values)))
     moving = []
     for k in range(3):
@@ -305,7 +305,10 @@ def _weighed(model: StructuralModel, units: str | None) -> tuple[tuple[str, ...]
         moved += np.where(rigid > 0, [np.abs(inertia @ rigid), total @ rigid], 0.0)
     heavy = moved[1] > 0
     if np.mean(moved[0][heavy] < _NOTHING * moved[1][heavy]) > _MOST:
-        warnings.append("Most rows of the mass resist no translation, as rows of a stiffness do: are they exchanged?")
+        raise InputError(
+            "most rows of the mass resist no translation, as rows of a stiffness do", place=f"model {model.name}",
+            remedy="stiffness and mass are exchanged, or the mass is a stiffness: name them, --stiffness and --mass",
+        )  # fmt: skip
     bare = int((inertia.diagonal() == 0).sum())
     notes = [words]
     if bare:

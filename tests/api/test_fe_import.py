@@ -167,13 +167,14 @@ def test_a_negative_stiffness_is_named(tmp_path):
         calib.import_matrices(free_bar(tmp_path, K=-whole))
 
 
-def test_stiffness_and_mass_that_are_exchanged_are_told(tmp_path):
+def test_stiffness_and_mass_that_are_exchanged_are_refused(tmp_path):
     held = calib.import_matrices(free_bar(tmp_path)).model.stiffness({"stiffness": 1.0}).toarray()
     held[0, 0] *= 2
     right = calib.import_matrices(free_bar(tmp_path, K=held))
     assert not right.warnings
-    wrong = calib.import_matrices(free_bar(tmp_path, K=held), stiffness="M", mass="K")
-    assert any("exchanged" in words for words in wrong.warnings)
+    for stiffness in ("M", "K"):  # exchanged, or the mass is the stiffness
+        with pytest.raises(InputError, match=r"resist no translation.*--stiffness and --mass"):
+            calib.import_matrices(free_bar(tmp_path, K=held), stiffness=stiffness, mass="K")
     assert any("No coordinates" in note and "--coordinates" in note for note in right.notes)
 
 
