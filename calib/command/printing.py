@@ -231,7 +231,7 @@ class _Printing(Listener):
 
     def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None, too_wide: Sequence[str] = ()) -> None:
         if too_wide:
-            words = f"As wide as a page, since they are not legible in a column or too high: {', '.join(too_wide)}"
+            words = f"As wide as a page, since they are not legible in a column: {', '.join(too_wide)}"
             self._add(Words(f"{words}.", when="always"))
         if figures:
             self._add(Words("\nFigures, each beside its table:"), *(Words(f"  {path}") for path in figures))

@@ -178,7 +178,8 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         "markeredgewidth": 1.6,
         "markeredgecolor": style.VERMILLION,
     }
-    step = min(0.3, 0.7 / len(models))
+    top, low = row_edges(names)
+    step = 2.0 * low * min(0.3, 0.7 / len(models))
     handles: list[Artist] = []
     for k, model in enumerate(models):
         rows = table[table["model"] == model].set_index("parameter").reindex(names)
@@ -206,7 +207,6 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
             ax.axvline(side, color=style.BLACK, linestyle="--", linewidth=0.9, gid="limit")
     ax.axvline(0.0, color=style.GREY, linewidth=0.8)
     values = [_values(table[table["parameter"] == name], models) for name in names]
-    top, _ = row_edges(names)
     name_rows(ax, names, values)
     for row, words in enumerate(values):
         if not style.in_column():
