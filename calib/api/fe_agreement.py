@@ -83,7 +83,8 @@ def _paired(found: pd.DataFrame, modes: Modes, code: MeasuredModes, shapes: np.n
     ``found`` has the pairs, ``shapes`` are those of the model at the code's sensors, (n_sensors, n_modes).
     """
     freq = np.asarray(modes.natural_freq)
-    of = dict(zip(found["mode"], found["model_mode"], strict=True))
+    known = found.dropna(subset=["model_mode"])
+    of = dict(zip(known["mode"], known["model_mode"], strict=True))
     rows = {}
     for group in np.split(np.arange(len(freq)), np.flatnonzero(freq[1:] > (1 + CLOSE) * freq[:-1]) + 1):
         own = [i for i, name in enumerate(code.names) if of.get(name) in group + 1]

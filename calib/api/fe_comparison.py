@@ -40,6 +40,7 @@ def compare_modes(
     coordinates: str | Path | None = None,
     modes_shapes: str | Path | None = None,
     length_unit: str | None = None,
+    measured_length_unit: str | None = None,
     node_limit: float | None = None,
 ) -> Compared:
     """Compare the modes that a finite-element code has computed with measured ones: MAC, pairs, frequency errors.
@@ -62,6 +63,8 @@ def compare_modes(
         Shapes table beside a table of computed modes.
     length_unit : str, optional
         Of coordinates of computed nodes where no file states it, such as ``mm``.
+    measured_length_unit : str, optional
+        Likewise of measured ones in universal files; tables are in m.
     node_limit : float, optional
         Largest distance between a measured node and its computed one, m.
 
@@ -99,7 +102,7 @@ def compare_modes(
             f"length_unit ({length_unit}) is that of computed nodes, and it has no places of nodes", place=str(modes),
             remedy="name the file that has them, coordinates (--coordinates), or leave length_unit out",
         )  # fmt: skip
-    test = _test(measured, shapes, sensors, computed.n_modes, node_limit)
+    test = _test(measured, shapes, sensors, measured_length_unit, computed.n_modes, node_limit)
     if computed.n_modes < test.used.n_modes:
         raise InputError(
             f"{computed.n_modes} modes are computed, and {test.used.n_modes} were measured",
@@ -167,11 +170,15 @@ def _problem(model: ModalFunctionModel, test: ModalTest) -> Any:
     return Problem(model, test)
 
 
-def _test(measured: Any, shapes: Any, sensors: Any, count: int, node_limit: float | None) -> ModalTest:
+def _test(
+    measured: Any, shapes: Any, sensors: Any, length_unit: str | None, count: int, node_limit: float | None
+) -> ModalTest:
     """The measured modes as a test, with all computed modes available for pairs."""
     if isinstance(measured, ModalTest):
         return measured if node_limit is None else replace(measured, node_limit=node_limit)
-    read = measured if isinstance(measured, MeasuredModes) else read_modes(measured, shapes=shapes, sensors=sensors)
+    read = measured if isinstance(measured, MeasuredModes) else read_modes(
+        measured, shapes=shapes, sensors=sensors, length_unit=length_unit
+    )  # fmt: skip
     return ModalTest(read, mode_count=max(count, read.n_modes), node_limit=node_limit)
 
 

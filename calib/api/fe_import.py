@@ -24,8 +24,9 @@ from calib.imports.matrices import KINDS, ReadMatrices, read_matrices
 from calib.measurement.files.read import UFF_SUFFIXES, Named, found_files
 from calib.measurement.files.uff_blocks import read_blocks
 from calib.measurement.frf_units import LENGTHS
-from calib.measurement.modal import DIRECTIONS
+from calib.measurement.modal import DIRECTIONS, MeasuredModes
 from calib.problem.space import Parameter
+from calib.structure.located import sensor_partners
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.unit_system import SYSTEMS, unit_system
@@ -237,14 +238,29 @@ def import_matrices(
     if to is None:
         return out
     contents: dict[str, bytes] = {}
-    lines, most = measurement_of(measured, shapes, sensors, contents)
+    lines, seen = measurement_of(measured, shapes, sensors, contents)
+    if seen is not None:
+        out = replace(out, warnings=(*warnings, *_misplaced(model, seen)))
     text = Template((TEMPLATE / "imported_study.toml").read_text("utf-8")).substitute(
         title=toml_text(f"Imported model {model.name}"), measurement="\n".join(lines),
-        mode_count=min(model.n_dof, max(MODES, most)),
+        mode_count=min(model.n_dof, max(MODES, 0 if seen is None else 2 * seen.n_modes)),
     )  # fmt: skip
     source, new = ", ".join(file.name for file in named), path_of(to, "to")
     folder = write_study(model, read, system.name, terms, source, new, text, contents)
     return replace(out, study=folder, measured=bool(measured))
+
+
+def _misplaced(model: StructuralModel, seen: MeasuredModes) -> tuple[str, ...]:
+    """Why a comparison of the study will be refused, or will take numbers of nodes for their places."""
+    partners = sensor_partners(model, seen.sensors)
+    if partners is not None:
+        try:
+            partners.require(model.name)
+        except InputError as fault:
+            return (f"The study will not compare: {fault}",)
+    if seen.has_shapes and all(s.point is None for s in seen.sensors):
+        return ("No place of a measured node is known (--sensors): they are taken as the nodes of their numbers.",)
+    return ()
 
 
 def _beside(row: Mapping[Hashable, Any]) -> tuple[str, ...]:

@@ -19,6 +19,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.imports.matrices import Kind, ReadMatrices
 from calib.measurement.files.read import Named, found_files, read_modes
+from calib.measurement.modal import MeasuredModes
 from calib.problem.parameter import Parameter
 from calib.results.written import write_new_folder
 from calib.structure.matrices import Scaling
@@ -103,8 +104,8 @@ def _parameter_text(p: Parameter) -> str:
 
 def measurement_of(
     measured: Named, shapes: Named, sensors: str | Path | None, contents: dict[str, bytes]
-) -> tuple[list[str], int]:
-    """Lines of ``[measurement]``, whose files are added to the study's, and the number of model modes to solve."""
+) -> tuple[list[str], MeasuredModes | None]:
+    """Lines of ``[measurement]``, whose files are added to the study's, and what was measured."""
     if not measured and (shapes or sensors):
         raise InputError("no modes are named beside shapes and places", place="measured", remedy="name them")
     if not measured:
@@ -112,7 +113,7 @@ def measurement_of(
             '# files = ["modes.csv"]                # measured modes: put the file here and take the # away',
             '# shapes = ["shapes.csv"]              # with shapes in a table',
             '# sensors = "sensors.csv"              # with nodes that are numbered otherwise: node, x, y, z (m)',
-        ], 0
+        ], None
     named = {"files": found_files(measured), "shapes": found_files(shapes) if shapes else []}
     named["sensors"] = [path_of(sensors, "sensors")] if sensors is not None else []
     read = read_modes(named["files"], shapes=named["shapes"], sensors=sensors)
@@ -124,7 +125,7 @@ def measurement_of(
             out.setdefault(key, []).append(name)
     lines = [f"{key} = [{', '.join(map(toml_text, out[key]))}]" for key in ("files", "shapes") if key in out]
     lines += [f"sensors = {toml_text(out['sensors'][0])}"] if "sensors" in out else []
-    return lines, 2 * read.n_modes
+    return lines, read
 
 
 def toml_text(text: str) -> str:

@@ -14,7 +14,16 @@ from calib.errors.errors import InputError
 from calib.results.results import RESULTS
 
 _OF_STUDIES = "results", "undamped", "quick"
-_OF_FILES = "shapes", "modes_shapes", "node_limit", "sensors", "coordinates", "length_unit", "into"
+_OF_FILES = (
+    "shapes",
+    "modes_shapes",
+    "node_limit",
+    "sensors",
+    "coordinates",
+    "length_unit",
+    "measured_length_unit",
+    "into",
+)
 """Options of one of the two forms alone."""
 
 
@@ -39,6 +48,9 @@ def compare_model(
         Path | None, typer.Option("--coordinates", metavar="FILE", help="Computed nodes: table, deck or mesh.")
     ] = None,
     length_unit: Annotated[str | None, typer.Option("--length-unit", help="Of computed nodes, such as mm.")] = None,
+    measured_length_unit: Annotated[
+        str | None, typer.Option("--measured-length-unit", help="Of measured nodes in universal files, such as mm.")
+    ] = None,
     node_limit: Annotated[
         float | None,
         typer.Option("--node-limit", metavar="M", help="Largest distance of a measured node from a computed one, m."),
@@ -64,7 +76,8 @@ def compare_model(
         require_used_options(context, _OF_STUDIES, "the comparison of files", remedy)
         found, written = compare_files(
             study, computed, measured or [], into, shapes=shapes, sensors=sensors, coordinates=coordinates,
-            modes_shapes=modes_shapes, length_unit=length_unit, node_limit=node_limit,
+            modes_shapes=modes_shapes, length_unit=length_unit, measured_length_unit=measured_length_unit,
+            node_limit=node_limit,
         )  # fmt: skip
         for label, text in found.lines.items():
             if label != "Evidence":

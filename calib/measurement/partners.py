@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -100,7 +101,11 @@ class NodePartners:
             return self
         remedy = "correct the coordinates, or state a larger limit in m (node_limit under [measurement], --node-limit)"
         if self.unit:
-            remedy = f"it looks like {self.unit}: give both in m, or state length_unit (--length-unit) of the file"
+            remedy = (
+                f"it looks like {self.unit}, or the other side in a wrong unit: check that of the measurement (tables "
+                "are in m, universal files state theirs or need length_unit, --measured-length-unit) and that of the "
+                "model (--units of an import, --length-unit of computed nodes)"
+            )
         if not len(beyond):
             words = f"{_nodes(len(self.table))} crowded on {self.table['partner'].nunique()} of the model {model}"
             raise InputError(words, place="sensors", remedy=remedy, table=self.text())
@@ -282,7 +287,8 @@ def _unit(
             near = far <= _limits(tree, places[at], size, limit)
             if factor != 1 and near.mean() >= RULES.partner_share and len(np.unique(at)) >= n_places * near.mean():
                 found.append((abs(np.log(extent * factor / size)) if size and extent else 0.0, f"{whose} in {unit}"))
-    return min(found)[1] if found else ""
+    in_words = min(found)[1] if found else ""
+    return re.sub(" in (in|ft)$", lambda own: {"in": " in inches", "ft": " in feet"}[own[1]], in_words)
 
 
 def _warnings(table: pd.DataFrame, ambiguous: np.ndarray, after: np.ndarray, moved: np.ndarray) -> tuple[str, ...]:

@@ -89,6 +89,14 @@ def test_the_command_writes_a_study_that_compares_at_once(measured, tmp_path, ca
         [1248.89, 2450.42], rel=1e-5
     )
     assert cli.execute(arguments) == 2 and "not an empty folder" in capsys.readouterr().err
+    wrong = ["m-kg-N" if one == "mm-t-N" else "wrong" if one == "beam" else one for one in arguments]
+    assert cli.execute(wrong) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "will not compare: sensor 90" in said and "the model (--units of an import" in said
+    assert (
+        cli.execute(["numbers" if one == "wrong" else one for one in wrong[:-2]]) == 0
+        and "No place of a measured" in capsys.readouterr().out
+    )
 
 
 def test_a_pattern_without_quotes_behind_an_option_is_told(tmp_path, capsys):

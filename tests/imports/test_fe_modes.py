@@ -3,6 +3,9 @@
 The files are written here after the codes' own descriptions of their formats; each holds a beam with known modes.
 """
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from calib.command import cli
 from calib.errors.errors import InputError
 from calib.imports.coordinates import read_coordinates
 from calib.imports.fe_modes import read_fe_modes
+from calib.measurement.files.uff import write_uff
 
 X = np.linspace(0.0, 1.0, 6)
 NUMBER = np.arange(1, 4)
@@ -314,6 +318,27 @@ def test_shapes_of_a_table_of_computed_modes_have_an_option(tmp_path, monkeypatc
     (tmp_path / "taken").write_text("")
     assert cli.execute([*line, "--modes-shapes", "fe_shapes.csv", "--into", "taken"]) == 2
     assert "--into" in capsys.readouterr().err
+
+
+def test_the_unit_of_measured_places_has_an_option_of_its_own(tmp_path, places):
+    (path := tmp_path / "beam.f06").write_text(f06())
+    test = measured()
+    in_mm = [replace(s, point=tuple(1e3 * x for x in s.point)) for s in test.sensors]
+    write_uff(tmp_path / "bare.uff", names=test.names, natural_freq=test.natural_freq, damping_ratio=np.full(2, 0.01),
+              sensors=in_mm, shapes=test.shapes)  # fmt: skip
+    text = (tmp_path / "bare.uff").read_text()
+    bare = re.sub(r" {4}-1\n +164 *\n.*? {4}-1\n", "", text, flags=re.DOTALL)
+    assert len(bare) < len(text)
+    (tmp_path / "bare.uff").write_text(bare)
+    with pytest.raises(InputError, match=r"measured places in mm.*--measured-length-unit"):
+        calib.compare_modes(path, tmp_path / "bare.uff", coordinates=places, length_unit="mm")
+    found = calib.compare_modes(
+        path, tmp_path / "bare.uff", coordinates=places, length_unit="mm", measured_length_unit="mm"
+    )
+    assert found.table["mac"].min() > 0.99
+    (tmp_path / "modes.csv").write_text("mode,freq,freq_kind\nB1,10.2,natural\n")
+    with pytest.raises(InputError, match="that of universal files"):
+        calib.compare_modes(path, tmp_path / "modes.csv", measured_length_unit="mm")
 
 
 @pytest.mark.medium

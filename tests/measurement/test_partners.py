@@ -69,7 +69,7 @@ def test_a_model_without_places_has_no_partners():
         node_partners({1: (0.0, 0.0, 0.0)}, {})
 
 
-@pytest.mark.parametrize(("factor", "unit"), [(1e3, "mm"), (100.0, "cm"), (1 / 0.0254, "in"), (1 / 0.3048, "ft")])
+@pytest.mark.parametrize(("factor", "unit"), [(1e3, "mm"), (100.0, "cm"), (1 / 0.0254, "inches"), (1 / 0.3048, "feet")])
 def test_measured_places_in_another_unit_are_noticed(factor, unit):
     measured = {k: tuple(factor * c for c in _PLATE[plate_node(5 * k, 5)]) for k in range(5)}
     found = node_partners(measured, _PLATE)
@@ -84,7 +84,7 @@ def test_a_model_in_millimetres_is_noticed_though_every_distance_is_within_its_l
     measured = {k: _PLATE[plate_node(5 * k, first)] for k in range(5)}
     found = node_partners(measured, large)
     assert (found.table["distance"] <= found.table["limit"]).all()
-    with pytest.raises(InputError, match="places of the model in mm"):
+    with pytest.raises(InputError, match="places of the model in mm, or the other side in a wrong unit"):
         found.require("plate")
 
 

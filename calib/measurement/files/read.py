@@ -121,6 +121,9 @@ def read_modes(
         raise InputError(f"pooling is {pooling!r}", place="measurement", remedy="write 'robust' or 'plain'")
     channels = names(channels, "channels")
     is_uff = _check_arguments(paths, shape_paths, repeats, std_of, mapped=bool(channels or variables))
+    if length_unit is not None and not is_uff:
+        words = f"length_unit ({length_unit}) is that of universal files"
+        raise InputError(words, place=paths[0], remedy="leave it out, and give places of nodes in m")
     points: Mapping[int, Point] | None = None
     read: list[Repeat]
     table = read_sensor_table(sensor_table) if sensor_table is not None else {}
