@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib.errors.errors import InputError
+
 _GLOBAL = ("", "0", "-1")
 """What stands in place of a system for the basic one."""
 
@@ -69,14 +71,22 @@ class Grid:
 
 
 def grids(text: str) -> dict[int, Grid]:
-    """Nodes of GRID entries by their numbers; GRDSET fills the systems that an entry leaves empty."""
+    """Nodes of GRID entries by their numbers; GRDSET fills the systems that an entry leaves empty.
+
+    InputError for a node that is there twice with other fields.
+    """
     found: dict[int, list[str]] = {}
     usual = [""] * 8
     for name, fields in bulk_entries(text):
         if name == "GRDSET":
             usual = [*fields, *[""] * 8]
         elif name == "GRID":
-            found[int(fields[0])] = [*fields, *[""] * 8]
+            own = [*fields, *[""] * 8]
+            before = found.setdefault(int(fields[0]), own)
+            if [_number(one) for one in before[1:6]] != [_number(one) for one in own[1:6]]:
+                twice = (", ".join(one or "0" for one in entry[2:5]) for entry in (before, own))
+                raise InputError(f"it is there twice, at {' and '.join(twice)}", place=f"GRID {int(fields[0])}",
+                                 remedy="keep one of them")  # fmt: skip
     return {
         node: Grid(
             _system(fields[1] or usual[1]),
@@ -85,6 +95,13 @@ def grids(text: str) -> dict[int, Grid]:
         )
         for node, fields in found.items()
     }
+
+
+def _number(field: str) -> float | str:
+    try:
+        return real(field)
+    except ValueError:
+        return field
 
 
 def _system(text: str) -> str:

@@ -53,7 +53,11 @@ def read_coordinates(file: Path, metres: float = 1.0) -> dict[int, Point]:
     try:
         for node, place in (_abaqus if is_abaqus else _ansys if is_ansys else _nastran)(file, lines):
             x, y, z = (metres * own for own in place)
-            out[node] = (x, y, z)
+            if out.setdefault(node, (x, y, z)) != (x, y, z):
+                raise InputError(f"node {node} is there twice, at different places", place=file,
+                                 remedy="keep one of them")  # fmt: skip
+    except InputError:
+        raise
     except ValueError as fault:
         raise InputError(f"a node cannot be read ({fault})", place=file, remedy="give a table node, x, y, z") from None
     if not out:

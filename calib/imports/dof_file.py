@@ -9,7 +9,10 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.imports.coordinates import DECKS
+from calib.imports.elements import held_motions, only_solids
 from calib.imports.harwell_boeing import is_mapping, read_mapping
+from calib.imports.keywords import deck_text
 
 _SEPARATOR = r"[;,\t ]+"
 COLUMNS = ("node", "direction")
@@ -92,3 +95,26 @@ def table_of_dofs(labels: np.ndarray) -> pd.DataFrame:
     out = pd.DataFrame({name: pd.array(column, dtype="Int64") for name, column in zip(COLUMNS, labels.T, strict=True)})
     out.loc[~named] = pd.NA
     return out
+
+
+def require_layers(table: pd.DataFrame, file: Path) -> None:
+    """InputError for rows of one name where the deck has neither shells nor beams, which alone have layers."""
+    again = table[table["node"].notna() & table.duplicated(["node", "direction"])]
+    if len(again) and only_solids(deck_text(file)):
+        words = f"direction {again['direction'].iloc[0]} of node {again['node'].iloc[0]} is named twice"
+        remedy = f"write the .dof again: {file.name} has no shells or beams, whose layers bear one name"
+        raise InputError(words, place=f"row {again.index[0] + 1} of the matrices", remedy=remedy)
+
+
+def without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[str, ...]]:
+    """The table without the names of rows that move a supported node: the stretch of a shell's thickness there."""
+    held = held_motions(deck_text(file)) if file.suffix.lower() in DECKS else set()
+    if not held:
+        return table, ()
+    rows = np.array([pair in held for pair in zip(table["node"], table["direction"], strict=True)])
+    if not rows.any():
+        return table, ()
+    out = table.copy()
+    out.loc[rows, ["node", "direction"]] = pd.NA
+    words = f"{int(rows.sum())} rows are of supported nodes, which move in them by the stretch of the thickness alone: "
+    return out, (words + "no sensor lies there.",)

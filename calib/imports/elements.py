@@ -226,6 +226,12 @@ def transformed_nodes(text: str) -> set[int]:
     return {node for key in keys for node in sets.get(value_of(key, "NSET"), ())}
 
 
+def only_solids(text: str) -> bool:
+    """Whether a deck of CalculiX has no elements but solids, springs and masses, so that no node gets layers."""
+    keys = [key for key, _ in keyword_blocks(text.splitlines()) if is_keyword(key, "*ELEMENT", "*RIGIDBODY")]
+    return bool(keys) and all(re.match("C3D|SPRING|MASS|DASHPOT", value_of(key, "TYPE")) for key in keys)
+
+
 def held_motions(text: str) -> set[tuple[int, int]]:
     """Node and direction (1 to 6) of every motion that ``*BOUNDARY`` of a deck of Abaqus or CalculiX holds.
 

@@ -15,8 +15,8 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.imports.containers import read_container
 from calib.imports.coordinates import DECKS, read_coordinates
-from calib.imports.dof_file import read_dofs, table_of_dofs
-from calib.imports.elements import edges_of, element_sets, held_motions, read_edges, sets_of
+from calib.imports.dof_file import read_dofs, require_layers, table_of_dofs, without_held
+from calib.imports.elements import edges_of, element_sets, read_edges, sets_of
 from calib.imports.harwell_boeing import is_harwell_boeing, is_mapping, read_harwell_boeing
 from calib.imports.keywords import deck_text, with_included
 from calib.imports.meshes import MESHES, has_elements, read_element_mesh
@@ -146,12 +146,14 @@ def read_matrices(
         table, told = _placed(table, coordinates, metres, is_calculix)
         notes += told
         if is_calculix:
-            table, told = _without_held(table, coordinates)
+            table, told = without_held(table, coordinates)
             notes += told
     if "x" not in table:
         notes += ("No coordinates of nodes were given (--coordinates): sensors lie at the nodes of their numbers.",)
     matrices, table, told = _without_penalties(matrices, table)
     named_twice = bool(table.dropna(subset=["node"]).duplicated(["node", "direction"]).any())
+    if is_calculix and named_twice and coordinates is not None and coordinates.suffix.lower() in DECKS:
+        require_layers(table, coordinates)
     edges, sets = _drawn(table, coordinates)
     if sets:
         listed = ", ".join(f"{name} ({len(nodes)} nodes)" for name, nodes in sets.items())
@@ -351,20 +353,6 @@ def _placed(table: pd.DataFrame, file: Path, metres: float, has_own: bool) -> tu
         f"{int(lost.sum())} rows belong to {count} nodes that {file.name} does not define ({first} to {last}), which "
         "are the code's own: they stay in the model, and no sensor lies there.",
     )
-
-
-def _without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[str, ...]]:
-    """The table without the names of rows that move a supported node: the stretch of a shell's thickness there."""
-    held = held_motions(deck_text(file)) if file.suffix.lower() in DECKS else set()
-    if not held:
-        return table, ()
-    rows = np.array([pair in held for pair in zip(table["node"], table["direction"], strict=True)])
-    if not rows.any():
-        return table, ()
-    out = table.copy()
-    out.loc[rows, ["node", "direction"]] = pd.NA
-    words = f"{int(rows.sum())} rows are of supported nodes, which move in them by the stretch of the thickness alone: "
-    return out, (words + "no sensor lies there.",)
 
 
 def _drawn(table: pd.DataFrame, file: Path | None) -> tuple[tuple[tuple[int, int], ...], dict[str, tuple[int, ...]]]:

@@ -67,7 +67,8 @@ def _shape_std(measured: MeasuredModes) -> list[str]:
         row, column = (int(index[0]) for index in np.nonzero(zero))
         where = f"{measured.sensors[row].name} of mode {measured.names[column]}"
         more = "" if zero.sum() == 1 else f" and of {zero.sum() - 1} more"
-        out.append(f"The standard deviation of the shape entry {where}{more} is 0: leave it empty where it is unknown.")
+        why = "leave it empty where it is unknown" if measured.n_repeats == 1 else "its repeats are rounded or copied"
+        out.append(f"The standard deviation of the shape entry {where}{more} is 0: {why}.")
     if np.median(std) > RULES.shape_std_most:
         out.append(
             f"The standard deviations of the shapes, {np.median(std):.3g} in the median, exceed the largest entry: "

@@ -214,13 +214,17 @@ def combine_repeats(
 
 
 def _require_no_copy(repeats: Sequence[Repeat]) -> None:
-    """InputError for shapes that are those of an earlier repeat, to the last digit: noise would differ."""
+    """InputError for shapes that are those of an earlier repeat in any order, to the last digit: noise would differ."""
+    ordered = [np.argsort(r.natural_freq, kind="stable") for r in repeats]
+    freq = [r.natural_freq[own] for r, own in zip(repeats, ordered, strict=True)]
     for k, repeat in enumerate(repeats):
-        for earlier in repeats[:k]:
+        for j, earlier in enumerate(repeats[:k]):
             one, two = earlier.shape_set, repeat.shape_set
-            if one is None or two is None or not np.array_equal(earlier.natural_freq, repeat.natural_freq):
+            if one is None or two is None or not np.array_equal(freq[j], freq[k]):
                 continue
-            if one.sensors == two.sensors and np.array_equal(one.shapes, two.shapes, equal_nan=True):
+            rows = [two.sensors.index(s) for s in one.sensors if s in two.sensors]
+            same = len(rows) == len(one.sensors) == len(two.sensors)
+            if same and np.array_equal(one.shapes[:, ordered[j]], two.shapes[rows][:, ordered[k]], equal_nan=True):
                 words = f"it holds the same modes as {earlier.source}, to the last digit: a copy is no repeat"
                 raise InputError(words, place=repeat.source, remedy="leave it out")
 

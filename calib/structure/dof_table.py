@@ -141,8 +141,7 @@ class DofTable:
             raise InputError(
                 f"{DIRECTIONS[direction[k]]} of node {labels[node[k]]} is named twice{more}",
                 place=f"{place}, row {k + 1}",
-                remedy="name every row once; for layers of a shell, which CalculiX makes a solid, give its .sti, .mas "
-                'and .dof to the import, or layers="mean"',
+                remedy='name every row once; layers="mean" is for shells that CalculiX has made solids',
             )
         return out
 

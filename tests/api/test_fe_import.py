@@ -27,6 +27,15 @@ def test_an_export_of_calculix_has_the_modes_that_calculix_printed(solid):
     assert solid.model.n_dof == 42 and len(solid.model.labels) == 8
 
 
+def test_a_row_that_is_named_twice_is_no_layer_of_a_solid(tmp_path):
+    for suffix in ("sti", "mas", "inp"):
+        shutil.copy(EXPORTS / f"solid.{suffix}", tmp_path)
+    rows = (EXPORTS / "solid.dof").read_text().split()
+    (tmp_path / "solid.dof").write_text("\n".join([rows[1], *rows[1:]]) + "\n")
+    with pytest.raises(InputError, match=r"is named twice; write the .dof again: solid.inp has no shells"):
+        calib.import_matrices(tmp_path / "solid.sti", units="mm-t-N")
+
+
 def test_shells_that_became_solids_move_as_the_mean_of_their_layers():
     found = calib.import_matrices(EXPORTS / "shell.sti", units="mm-t-N", modes=EXPORTS / "shell_modes.frd")
     beside = found.modes.dropna()

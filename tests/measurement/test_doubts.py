@@ -8,6 +8,7 @@ from calib.errors.errors import InputError
 from calib.measurement.doubts import doubts_of
 from calib.measurement.files.read import read_modes
 from calib.measurement.files.read_frf import read_frfs
+from calib.measurement.files.uff import write_uff
 
 SHAPES = np.array([[0.4, 1.0], [0.8, -0.7], [1.0, 0.3]])
 SENSORS = ["1x", "2x", "3x"]
@@ -90,6 +91,17 @@ def test_shapes_that_are_the_same_to_the_last_digit_are_a_copy_whatever_the_text
         read_modes(table, shapes=shapes)
     shapes.write_text("\n".join(lines).replace("0.50", "0.51"))
     assert read_modes(table, shapes=shapes).n_repeats == 2
+
+
+def test_a_copy_in_another_order_of_modes_and_sensors_is_no_repeat(tmp_path):
+    freq, shapes = np.array([8.1, 27.4]), np.array([[0.5, 1.0], [1.0, -0.4]])
+    sensors = [calib.Sensor(k, "x", (float(k), 0.0, 0.0)) for k in (1, 2)]
+    for name, modes in (("one", [0, 1]), ("two", [1, 0])):
+        write_uff(tmp_path / f"{name}.uff", names=["a", "b"], natural_freq=freq[modes], damping_ratio=np.full(2, 0.01),
+                  sensors=sensors[:: 1 if name == "one" else -1],
+                  shapes=shapes[:: 1 if name == "one" else -1, modes])  # fmt: skip
+    with pytest.raises(InputError, match="a copy is no repeat"):
+        read_modes([tmp_path / "one.uff", tmp_path / "two.uff"])
 
 
 def test_a_frequency_that_never_varies_is_told(tmp_path):
