@@ -26,6 +26,7 @@ FIT = (
     "Fit the parameters that matter: calib sensitivity STUDY, then calib calibrate STUDY, or all at once: "
     "calib run STUDY."
 )
+RELY = "Use the model within the frequencies and limits that it was fitted in."
 UNFITTED = "The model has no parameters. To fit it, bring it as matrices or as a function with parameters."
 _EXPLAIN = "Find what the model lacks before it is used: calib explain STUDY."
 _FINE = "Nothing calls for a calibration."
@@ -232,7 +233,7 @@ def _next(
     if len(bad):
         which = enumerated(bad.tolist())
         return f"Do not rely on single values that are not identified: {which}; measure them apart, or leave them out."
-    return "Use the model within the frequencies and limits that it was fitted in."
+    return RELY
 
 
 def _change(before: _Compared, after: _Compared) -> str:

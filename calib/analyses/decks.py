@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from pathlib import Path
 
+import pandas as pd
+
+from calib.analyses.answers import RELY
+from calib.analyses.provenance.record import analyses_of
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import EvaluationError, InputError
 from calib.imports.deck import deck_name, deck_of, read_template
@@ -31,7 +36,8 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     Returns
     -------
     tuple of Path
-        The decks, the solver's other files and `TABLE`: ``parameter, value, std, unit``.
+        The decks, the solver's other files and `TABLE`: ``parameter, value, std, unit, remark``, the last with what
+        `caution` says.
 
     Raises
     ------
@@ -53,12 +59,22 @@ def write_decks(study: AnyStudy, results: Results, into: Path) -> tuple[Path, ..
     beside = solver.files if solver is not None and not settings.decks else ()
     for name in settings.deck_files or beside:
         contents[Path(name).name] = _content(study.folder / name)
-    rows = [
-        f"{name},{float(v)!r},{found.std.get(name, float('nan')):.4g},{space[name].unit}" for name, v in values.items()
-    ]
-    contents[TABLE] = "\n".join(["parameter,value,std,unit", *rows, ""]).replace(",nan,", ",,").encode()
+    rows = [(name, float(v), found.std.get(name), space[name].unit, caution(results)) for name, v in values.items()]
+    table = pd.DataFrame(rows, columns=["parameter", "value", "std", "unit", "remark"])
+    contents[TABLE] = table.assign(std=[_digits(std) for std in table["std"]]).to_csv(index=False).encode()
     write_new_folder(into, contents)
     return tuple(into / name for name in contents)
+
+
+def caution(results: Results) -> str:
+    """Why the calibrated values are to be used with care, as the calibration said; empty where it may be relied on."""
+    answer = analyses_of(results).get("calibrate", {}).get("answer", {})
+    then = str(answer.get("then", ""))
+    return "" if then in ("", RELY) else f"{answer.get('found', '').partition(':')[0]}. {then}"
+
+
+def _digits(std: float | None) -> str:
+    return "" if std is None or math.isnan(std) else f"{std:.4g}"
 
 
 def _content(file: Path) -> bytes:

@@ -78,6 +78,11 @@ def deck(
     verbose: Verbose = False,
 ) -> None:
     """Write the templates of the study's solver, or those under 'decks', with the calibrated values. Run them there."""
+    from calib.analyses.decks import caution
+    from calib.api.entries.entry import Warned
+
     with loaded_study("deck", study, results, verbose) as loaded:
         for written in loaded.decks(into):
             terminal.say(f"Written: {written}")
+        if words := caution(loaded.folder):
+            terminal.tell_entries([Warned(words)], verbose)

@@ -4,6 +4,7 @@ import re
 import shutil
 
 import numpy as np
+import pandas as pd
 import pytest
 
 import calib
@@ -33,7 +34,7 @@ def test_the_matrices_of_runs_have_the_modes_of_the_solver(tmp_path):
 
 
 @pytest.mark.slow
-def test_calibrated_values_go_back_into_the_deck(tmp_path):
+def test_calibrated_values_go_back_into_the_deck(tmp_path, monkeypatch):
     folder = study(tmp_path / "chain", text=STUDY.replace("[model]", '[model]\nfiles = "mesh.bin"'))
     (folder / "mesh.bin").write_bytes(b"\xff\r\n{{ nothing }}")
     calib.import_matrices(folder, to=tmp_path / "affine")
@@ -47,6 +48,11 @@ def test_calibrated_values_go_back_into_the_deck(tmp_path):
     values = re.search(r"k, m, t = (\S+), (\S+), (\S+)", written[0].read_text()).groups()
     assert [float(v) for v in values] == pytest.approx([2.3, 1.3, 1.0], rel=1e-4)
     assert "k,2." in written[2].read_text()
+    assert pd.read_csv(written[2])["remark"].isna().all()
+    doubtful = {"found": "It does not fit: 9 %.", "then": "Find what it lacks."}
+    monkeypatch.setattr("calib.analyses.decks.analyses_of", lambda results: {"calibrate": {"answer": doubtful}})
+    remarks = pd.read_csv(one.decks(tmp_path / "doubtful")[2])["remark"]
+    assert remarks.unique().tolist() == ["It does not fit. Find what it lacks."]
 
 
 @pytest.mark.medium
