@@ -27,6 +27,10 @@ COLLINEAR = 0.9
 """Correlation above which two signatures count as collinear."""
 MOST = 40
 """Effects that are drawn; of more, such as generic ones, those with most evidence."""
+_MATRIX = 24
+"""Effects of the matrix of correlations, each with room for a name on two lines."""
+_NUMBERED = 16
+"""Effects of a matrix whose cells have room for a number."""
 _WIDE = 60.0
 """Largest log Bayes factor that is drawn on a linear axis."""
 _OVER = 44
@@ -233,13 +237,14 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     Returns
     -------
     Axes
-        A matrix with the values in the cells, of many effects those with most evidence; off-diagonal absolute values
-        above 0.9 are outlined. Rows are labelled with title, name and unabsorbed fraction, columns with the name.
+        A matrix of the effects, of many those with most evidence, with the values in the cells where there is room;
+        off-diagonal absolute values above 0.9 are outlined. Rows are labelled with title, name and unabsorbed
+        fraction, columns with the name.
     """
     names = table["effect"].astype(str).tolist()
-    if len(names) > MOST:
+    if len(names) > _MATRIX:
         first = names if effects is None else [n for n in ranked(effects)["name"].astype(str) if n in set(names)]
-        names = first[:MOST]
+        names = first[:_MATRIX]
     count = len(names)
     titles = {} if effects is None else dict(zip(effects["name"], effects["title"], strict=True))
     unabsorbed = {} if effects is None else dict(zip(effects["name"], effects["unabsorbed"], strict=True))
@@ -250,8 +255,8 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     values = table.set_index("effect").reindex(index=names, columns=names).to_numpy(dtype=float)
     ax.imshow(np.ones_like(values), cmap="Greys", norm=Normalize(0.0, 7.0), aspect="auto")
     image = ax.imshow(values, cmap="RdBu_r", norm=Normalize(-1.0, 1.0), aspect="auto")
-    size = 7.5 if count <= 12 else max(4.5, 7.5 * 12.5 / count)
-    for i, j in np.argwhere(np.isfinite(values)):
+    size = 7.5 if count <= 12 else 7.5 * 12.5 / count
+    for i, j in np.argwhere(np.isfinite(values)) if count <= _NUMBERED else ():
         colour = "white" if abs(values[i, j]) > 0.65 else style.BLACK
         text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
         ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
@@ -264,14 +269,8 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     )
     style.separate_cells(ax, count, count)
     for i, j in np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool)):
-        looks: dict[str, Any] = {
-            "fill": False,
-            "edgecolor": style.BLACK,
-            "linewidth": 1.8,
-            "clip_on": False,
-            "zorder": 4,
-        }
-        ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", **looks))
+        looks: dict[str, Any] = {"fill": False, "edgecolor": style.BLACK, "linewidth": 1.8, "clip_on": False}
+        ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", zorder=4, **looks))
     known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
     ends = {n: ", ".join([*([n] if titles.get(n, n) != n else []), *([known[n]] if n in known else [])]) for n in names}
     words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
