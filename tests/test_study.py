@@ -86,6 +86,7 @@ def test_what_is_needed_of_a_parameter_is_a_key_of_the_study(example):
 
 BAD = [
     ("unknown key", ("[held_out]", "[held_out]\nmodez = []"), "unknown key 'held_out.modez'", "modes, sensors"),
+    ("key of the file", ("[held_out]", "[held_out]\ndecks = []"), "'decks' is no key of [held_out]", "above the first"),
     ("key misspelt", ("selection = ", "selektion = "), "unknown key 'selektion'", "'selection'"),
     ("section misspelt", ("[measurement]", "[messurement]"), "unknown key 'messurement'", "'measurement'"),
     ("too many samples", ("samples = 200", "samples = 100000000000"), "sensitivity.samples", "1000000"),

@@ -116,5 +116,7 @@ def without_held(table: pd.DataFrame, file: Path) -> tuple[pd.DataFrame, tuple[s
         return table, ()
     out = table.copy()
     out.loc[rows, ["node", "direction"]] = pd.NA
-    words = f"{int(rows.sum())} rows are of supported nodes, which move in them by the stretch of the thickness alone: "
-    return out, (words + "no sensor lies there.",)
+    words = (
+        f"At supported nodes {int(rows.sum())} rows remain, in which a shell's thickness stretches: no sensor reads "
+    )
+    return out, (words + "them.",)

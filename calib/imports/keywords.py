@@ -41,6 +41,9 @@ def with_included(file: Path, text: str) -> str:
 def _expanded(text: str, file: Path, home: Path, depth: int) -> str:
     if "INCLUDE" not in text.upper():
         return text
+    control = re.match(r"[\s\S]*?^[ \t]*CEND\b[\s\S]*?^[ \t]*BEGIN[ \t]+[^\n]*$", text, re.MULTILINE | re.IGNORECASE)
+    if control is not None:  # of Nastran: how to solve, which names no node
+        return control[0] + _expanded(text[control.end() :], file, home, depth)
     if depth > _DEEPEST:
         raise InputError("files include each other", place=file, remedy="let no file include one that includes it")
 
@@ -49,7 +52,7 @@ def _expanded(text: str, file: Path, home: Path, depth: int) -> str:
         places = [file.parent / name, home / name]
         other = next((one for one in places if one.is_file()), None)
         if other is None:
-            raise InputError(f"it includes {name}, which is not there", place=file, remedy=f"put it into {file.parent}")
+            raise InputError(f"it includes {name}, which is not there", place=file, remedy=f"put it beside {file.name}")
         return _expanded(other.read_text("latin-1").replace("\r\n", "\n"), other, home, depth + 1)
 
     return _INCLUDE.sub(content, text)

@@ -132,7 +132,8 @@ def read_matrices(
     table, told = _rows([one for own in by_kind.values() for one in own.values()], dofs, rows)
     notes += told
     for kind, own in by_kind.items():
-        empty = [] if (chosen or {}).get(kind) else [name for name, one in own.items() if _is_none(one, table)]
+        single = [name for name, one in own.items() if one.labels is None and one.matrix.shape[0] == 1 < len(table)]
+        empty = [] if (chosen or {}).get(kind) else single
         for name in empty:  # what Nastran writes for none
             notes += (f"Left out: {name}, a {kind} of one row.",)
             own.pop(name)
@@ -204,9 +205,10 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> tuple[list[S
     if is_harwell_boeing(lines):
         return [read_harwell_boeing(file, lines)], ()
     if not text:
-        raise InputError(
-            "its form is unknown", place=file, remedy="give matrices in a form of the page on finite-element codes"
-        )
+        remedy = "give matrices in a form of the page on finite-element codes"
+        if file.suffix.lower() in (".full", ".rst"):
+            remedy = "write its matrices by HBMAT, or turn job.full into a .mat by ansys-mapdl-reader (docs/fe_code.md)"
+        raise InputError("it is binary, of no form that is read", place=file, remedy=remedy)
     name = {".sti": "stiffness", ".mas": "mass"}.get(file.suffix.lower(), file.stem)
     table = stored_numbers(text, (3, 5), file)
     if table.shape[1] == 3:
@@ -250,16 +252,28 @@ def _sorted_out(
         if kind_found in KINDS and not chosen.get(kind_found):
             known: Kind = kind_found
             if one.name in out[known]:
-                raise InputError(f"there are two matrices {one.name!r}", place=f"--{known}", remedy="give each once")
+                sizes = " and ".join(str(each.matrix.shape[0]) for each in (out[known][one.name], one))
+                remedy = f"give those of one model alone, or name its {known} otherwise in the file"
+                raise InputError(f"there are two matrices {one.name!r}, of {sizes} rows", place=file, remedy=remedy)
             out[known][one.name] = one
         else:
             left.append(f"{one.name} ({kind_found})" if kind_found else one.name)
     for kind in ("stiffness", "mass"):
         if not out[kind]:
-            raise InputError(f"no matrix is recognised as {kind}", place="files",
-                             remedy=f"name it: --{kind} NAME, one of {listed}")  # fmt: skip
+            raise _without(kind, stored, left)
     notes = (f"Left out: {', '.join(left)}.",) if left else ()
     return out, notes
+
+
+def _without(kind: str, stored: Sequence[tuple[Path, Stored]], left: Sequence[str]) -> InputError:
+    """No stiffness, or no mass: the file that should be beside another one, or the matrices whose kind is unknown."""
+    own, other = (".mas", ".sti") if kind == "mass" else (".sti", ".mas")
+    for file, _ in stored:
+        if file.suffix.lower() == other:
+            return InputError(f"{file.stem}{own}, the {kind}, is not beside it", place=file,
+                              remedy="put it there, as the same run wrote it")  # fmt: skip
+    remedy = f"name it: --{kind} NAME, one of {', '.join(left)}" if left else f"give the file that has the {kind}"
+    return InputError(f"no matrix is recognised as {kind}", place="files", remedy=remedy)
 
 
 def _rows(
@@ -302,11 +316,6 @@ def _rows_of_deck(file: Path, text: str) -> Iterator[tuple[str, np.ndarray | Non
         yield "those of all GRID and SPOINT, in ascending order,", all_motions(text)
     except ValueError as fault:
         raise InputError(f"it cannot be read ({fault})", place=file, remedy="give --dofs and --coordinates") from None
-
-
-def _is_none(stored: Stored, table: pd.DataFrame) -> bool:
-    """Whether a matrix is one number for a model of more rows."""
-    return stored.labels is None and stored.matrix.shape[0] == 1 < len(table)
 
 
 def _sized(stored: Stored, table: pd.DataFrame, name: str) -> Stored:

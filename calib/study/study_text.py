@@ -263,6 +263,9 @@ def _explain(fault: ValidationError, layers: Sequence[Layer]) -> InputError:
         now = KEYS.get(str(keys[-1]))
         if now in known:
             return InputError(f"the key {label!r} is called {now!r} now", place=place, remedy=f"write {now}")
+        if len(keys) > 1 and str(keys[-1]) in _known_keys(()):
+            remedy = "put it above the first [table]: a line belongs to the table above it"
+            return InputError(f"{keys[-1]!r} is no key of [{keys[0]}], but of the file", place=place, remedy=remedy)
         near = difflib.get_close_matches(str(keys[-1]), known, n=1, cutoff=0.5)
         return InputError(
             f"unknown key {label!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),

@@ -30,10 +30,22 @@ def test_included_files_stand_at_their_places(line, tmp_path):
 
 def test_included_files_that_are_missing_or_endless_are_refused(tmp_path):
     (deck := tmp_path / "deck.inp").write_text("*include, input=other.inc\n")
-    with pytest.raises(InputError, match=r"deck.inp: it includes other.inc, which is not there; put it into"):
+    with pytest.raises(
+        InputError, match=r"deck.inp: it includes other.inc, which is not there; put it beside deck.inp"
+    ):
         read_coordinates(deck)
     (tmp_path / "other.inc").write_text("*include, input=deck.inp\n")
     with pytest.raises(InputError, match="include each other"):
+        read_coordinates(deck)
+
+
+def test_files_of_the_control_of_nastran_are_not_needed(tmp_path):
+    control = "SOL 111\ninclude '../nowhere.v9'\nCEND\nTITLE = x\nBEGIN BULK\n"
+    (deck := tmp_path / "a.dat").write_text(control + "GRID,1,,2.0,3.0,0.0\nINCLUDE 'more.bdf'\n")
+    (tmp_path / "more.bdf").write_text("GRID,2,,4.0,3.0,0.0\n")
+    assert sorted(read_coordinates(deck)) == [1, 2]
+    (tmp_path / "more.bdf").unlink()
+    with pytest.raises(InputError, match=r"put it beside a\.dat"):
         read_coordinates(deck)
 
 

@@ -186,6 +186,21 @@ def test_matrices_with_other_names_are_chosen(tmp_path):
         read_matrices([tmp_path / "beam.npz"], chosen={"stiffness": ["A"], "mass": ["B4"]})
 
 
+def test_a_matrix_that_lacks_or_is_there_twice_is_told_with_its_file(tmp_path):
+    shutil.copy(EXPORTS / "solid.sti", tmp_path)
+    with pytest.raises(InputError, match=r"solid\.mas, the mass, is not beside it"):
+        read_matrices([tmp_path / "solid.sti"])
+    np.savez(tmp_path / "k.npz", K=K, dofs=np.array(NAMES, dtype=float))
+    with pytest.raises(InputError, match="give the file that has the mass"):
+        read_matrices([tmp_path / "k.npz"])
+    np.savez(tmp_path / "both.npz", K=K[:2, :2])
+    with pytest.raises(InputError, match=r"two matrices 'K', of 42 and 2 rows"):
+        read_matrices([tmp_path / "k.npz", tmp_path / "both.npz"])
+    (tmp_path / "job.full").write_bytes(b"\0\1\2\3" * 20)
+    with pytest.raises(InputError, match="ansys-mapdl-reader"):
+        read_matrices([tmp_path / "job.full"])
+
+
 def test_rows_of_the_code_itself_keep_no_node():
     found = read_matrices([EXPORTS / "solid.sti"])  # .mas, .dof and .inp lie beside it
     own = found.dofs["node"].isna().to_numpy()
@@ -232,7 +247,7 @@ def edit(home, name, old, new):
         ("CalculiX", lambda h: edit(h, "solid.dof", "5.3\n", ""), "41 are named"),
         ("CalculiX", lambda h: edit(h, "solid.dof", "5.3\n", "5.\n"), "row 3"),
         ("CalculiX", lambda h: (h / "solid.dof").unlink(), "--dofs"),
-        ("CalculiX", lambda h: (h / "solid.mas").unlink(), "--mass"),
+        ("CalculiX", lambda h: (h / "solid.mas").unlink(), r"solid\.mas, the mass, is not"),
         ("Abaqus labels", lambda h: edit(h, "beam_MASS2.mtx", "5,1, 5,1,", "5,1, 5,"), "numbers"),
         ("RSA", lambda h: edit(h, "beam_mass.matrix", "RSA", "CSA"), "CSA"),
         ("RSA", lambda h: edit(h, "beam_mass.matrix", "(10I8)", "(5I16)"), "pointers|read|cut off"),
