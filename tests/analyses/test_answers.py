@@ -90,14 +90,18 @@ def test_an_explanation_weighs_a_datum_before_the_user_doubts_it():
 
 
 def test_modes_call_for_no_calibration_where_they_agree_and_not_where_nothing_is_known():
-    def then(*verdicts):
+    def then(*verdicts, paired=(0,)):
         table = pd.DataFrame({"verdict": verdicts})
-        pairing = SimpleNamespace(paired=verdicts)
-        found = SimpleNamespace(summary=lambda: ("", ""), pairing=pairing, far=(), where_it_fails=lambda: table)
+        pairing = SimpleNamespace(paired=paired)
+        found = SimpleNamespace(
+            summary=lambda: ("", ""), far=(), where_it_fails=lambda: table, pairing=pairing,
+            measured=SimpleNamespace(has_shapes=True),
+        )  # fmt: skip
         return of_comparison(SimpleNamespace(comparison=found, frfs=None, checks=())).then
 
     assert "calib calibrate STUDY" in then(WITHIN, BEYOND) and then(UNKNOWN, UNKNOWN) == then(WITHIN, BEYOND)
     assert then(WITHIN, UNKNOWN) == then(WITHIN) != then(BEYOND)
+    assert then(UNKNOWN, paired=()).startswith("Check first: places and directions")
 
 
 def test_responses_that_agree_call_for_no_calibration():
