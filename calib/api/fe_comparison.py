@@ -142,8 +142,10 @@ def compare_files(
         Also where a study is named beside the files, or one of the two kinds of files is missing.
     """
     if study is not None:
-        option = "--measured" if modes is not None else "--modes"
-        remedy = f"name it with an option of its own, {option} {study}, or all by a pattern in quotes"
+        model = f"--modes {study} if it is the model's, else " if modes is None else ""
+        remedy = (
+            f"name it with an option of its own, {model}--measured {study}, or all measured ones by a pattern in quotes"
+        )
         if study.is_dir() or not study.exists():
             raise InputError("it is named beside files", place=f"study {study}", remedy="name the study, or the files")
         raise InputError("no option names it", place=study, remedy=remedy)

@@ -59,7 +59,7 @@ def test_frequencies_are_averaged_with_their_standard_deviation():
 def test_modes_are_matched_by_name_when_every_repeat_names_them():
     rng = np.random.default_rng(3)
     shapes = rng.normal(size=(6, 3))
-    turned = repeat(shapes[:, ::-1], freq=(3.0, 2.0, 1.0), names=NAMES[::-1])
+    turned = repeat(2 * shapes[:, ::-1], freq=(3.0, 2.0, 1.0), names=NAMES[::-1])  # scaled: no copy of the first
     out = combine_repeats([repeat(shapes), turned])
     np.testing.assert_allclose(out.freq_std, 0.0)
     np.testing.assert_allclose(out.shape_std, 0.0, atol=1e-14)
