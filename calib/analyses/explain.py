@@ -44,6 +44,7 @@ from calib.missing.pattern import BY_TEST
 from calib.missing.score import scores
 from calib.missing.settings import Settings, require_enough
 from calib.missing.verdict import NO_DOUBTS, Doubts
+from calib.missing.verdict_words import with_full_stop
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
 from calib.problem.joint import TEST, JointRows, of_test
@@ -223,7 +224,8 @@ def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:
             found = comparison_at(one, one.model.space.values)
         except EvaluationError:
             continue
-        sentences += [of_test(one.test, words) if one.test else words for words in found.doubts]
+        whole = [with_full_stop(words) for words in found.doubts]
+        sentences += [of_test(one.test, words) if one.test else words for words in whole]
         checks += [f"{what} in test {one.test}" if one.test else what for what in found.checks]
         twice = [mode for pair in found.found_twice for mode in (pair.first, pair.second)]
         data += [f"mode {of_test(one.test, mode) if one.test else mode}" for mode in twice]
