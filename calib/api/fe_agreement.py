@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import pandas as pd
 
 from calib.api.display import compared
 from calib.api.entries.entry import count
+from calib.correlation.modal.subspaces import close_groups
 from calib.errors.errors import EvaluationError
 from calib.experiment import ModalTest
 from calib.measurement.modal import DIRECTIONS, MeasuredModes
@@ -85,16 +87,21 @@ def _paired(found: pd.DataFrame, modes: Modes, code: MeasuredModes, shapes: np.n
     freq = np.asarray(modes.natural_freq)
     known = found.dropna(subset=["model_mode"])
     of = dict(zip(known["mode"], known["model_mode"], strict=True))
-    rows = {}
-    for group in np.split(np.arange(len(freq)), np.flatnonzero(freq[1:] > (1 + CLOSE) * freq[:-1]) + 1):
-        own = [i for i, name in enumerate(code.names) if of.get(name) in group + 1]
+    rows: dict[int, tuple[float, float]] = {}
+    close = close_groups(freq, freq, np.full(len(freq), CLOSE / math.sqrt(2.0)), 1.0)
+    alone = sorted({*range(len(freq))}.difference(*close))
+    for group in (*close, *((j,) for j in alone)):
+        own = [i for i, name in enumerate(code.names) if of.get(name, 0) - 1 in group]
         for j, i in zip(group, own, strict=False):
-            rows[j + 1] = code.natural_freq[i], within(code.shapes[:, i], shapes[:, group])
+            rows[j + 1] = float(code.natural_freq[i]), span_mac(code.shapes[:, i], shapes[:, list(group)])
     return pd.DataFrame.from_dict(rows, orient="index", columns=["code_freq", "mac"])
 
 
-def within(shape: np.ndarray, others: np.ndarray) -> float:
-    """MAC of a shape (n_sensors,) with the motions that others (n_sensors, n) span; NaN without sensors."""
+def span_mac(shape: np.ndarray, others: np.ndarray) -> float:
+    """MAC of a shape (n_sensors,) with the motions that others (n_sensors, n) span; NaN without sensors.
+
+    Not corrected for their number, as `calib.correlation.modal.subspaces.subspace_mac` is: both are of one model.
+    """
     if not len(shape):
         return float("nan")
     part = others @ np.linalg.lstsq(others, shape, rcond=None)[0]

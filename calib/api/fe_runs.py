@@ -14,7 +14,7 @@ import pandas as pd
 import scipy.sparse as sp
 
 from calib.api.entries.entry import count
-from calib.api.fe_agreement import CLOSE, FREQ_AGREES, MAC_AGREES, within
+from calib.api.fe_agreement import CLOSE, FREQ_AGREES, MAC_AGREES, span_mac
 from calib.api.fe_import import Imported
 from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, toml_text, write_study
 from calib.errors.errors import EvaluationError, InputError
@@ -262,5 +262,5 @@ def _against_solver(model: StructuralModel, values: Mapping[str, float], own: Me
     rows = []
     for j in range(n):
         group = np.flatnonzero(np.abs(code / code[j] - 1) < CLOSE)
-        rows.append((j + 1, freq[j], code[j], freq[j] / code[j] - 1, within(shapes[:, j], theirs[:, group])))
+        rows.append((j + 1, freq[j], code[j], freq[j] / code[j] - 1, span_mac(shapes[:, j], theirs[:, group])))
     return pd.DataFrame(rows, columns=["mode", "freq", "code_freq", "freq_error", "mac"])
