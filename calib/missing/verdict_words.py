@@ -97,7 +97,7 @@ def family_in_short(found: Explanation) -> str:
     errors += 0 if adequacy.pairs is None else adequacy.pairs.number
     tried = {"listed causes": causes, "stiffness or mass at single places": perturbations, "measurement errors": errors}
     number = sum(tried.values())
-    worst = f"{p_words(adequacy.p_fit)} ({worst_of(adequacy)})"
+    worst = f"{p_words(adequacy.p_fit)} ({_worst_of(adequacy)})"
     if not number:
         return worst
     words = names_in_words([what for what, count in tried.items() if count])
@@ -105,7 +105,7 @@ def family_in_short(found: Explanation) -> str:
     return f"{p_words(adequacy.p_family)} ({best}: {words}) and {worst}"
 
 
-def worst_of(adequacy: AdequacyTests) -> str:
+def _worst_of(adequacy: AdequacyTests) -> str:
     """The group of data whose p-value is told, in words."""
     kinds = [KINDS.get(kind, kind) for kind in adequacy.kinds["kind"]]
     return f"the worst of {names_in_words(kinds)}, corrected for their number" if len(kinds) > 1 else "the data"
@@ -126,7 +126,7 @@ def fit_in_short(adequacy: AdequacyTests, alpha: float, them: str = "it") -> str
     rest = "but what remains is more than noise" if adequacy.p_fit <= alpha else "and what remains may be noise"
     return (
         f"With {them} no further cause or place stands out ({p_words(adequacy.p_family)}), {rest} "
-        f"({p_words(adequacy.p_fit)} for {worst_of(adequacy)}; limit {alpha:g})."
+        f"({p_words(adequacy.p_fit)} for {_worst_of(adequacy)}; limit {alpha:g})."
     )
 
 

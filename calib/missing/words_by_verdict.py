@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 import pandas as pd
 
-from calib.missing.candidate_fit import AdequacyTests, CandidateFit
+from calib.missing.candidate_fit import CandidateFit
 from calib.missing.explanation import Explanation
 from calib.missing.goodness import p_words, where
 from calib.missing.local import fault_words, local_perturbation, meaning_of, range_words
@@ -34,7 +34,6 @@ from calib.missing.verdict_words import (
     row_of,
     with_in_short,
     with_words,
-    worst_of,
 )
 from calib.problem.candidate import Candidate
 
@@ -205,8 +204,8 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
     return VerdictWords(
         f"The model lacks something that no listed effect explains fully: {it}, is a part of it or stands in for "
         "something else.",
-        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, but "
-        f"{_left(found.chosen_adequacy, found.alpha)}.{_drawn(found.chosen, e)} {misfit_in_short(found)}",
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f}. {with_in_short(found)}"
+        f"{_drawn(found.chosen, e)} {misfit_in_short(found)}",
         "Look first where it acts. No single place explains it." if beyond_places(found) else _rest(found),
         (misfit_words(found), steps_sentence(found)),
     )
@@ -214,15 +213,8 @@ def _partial(found: Explanation, effects: pd.DataFrame) -> VerdictWords:
 
 def _drawn(candidate_fit: CandidateFit, e: Candidate) -> str:
     """That its plausible size draws a magnitude down, with a space before it; empty where it hardly does."""
-    times = abs(e.magnitude.pull(candidate_fit.fit.values[e.name]))
-    return f" It is {times:.0f} times its plausible size, which draws it down." if times > _DRAWN else ""
-
-
-def _left(adequacy: AdequacyTests, alpha: float) -> str:
-    """Which of the two tests finds something left after a fit."""
-    if adequacy.p_family <= alpha and not adequacy.overstated:
-        return f"one more change would still gain more than noise does ({p_words(adequacy.p_family)})"
-    return f"the data still do not fit ({p_words(adequacy.p_fit)} for {worst_of(adequacy)})"
+    times = abs(e.magnitude.pull(candidate_fit.fit.values[e.name])) if e.magnitude.prior_kind == "normal" else 0.0
+    return f" Its magnitude is {times:.0f} times its plausible size, which draws it down." if times > _DRAWN else ""
 
 
 def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
@@ -233,8 +225,8 @@ def _nearly(found: Explanation, e: Candidate) -> VerdictWords:
     return VerdictWords(
         f"The model lacks something like {e.in_words}, but not exactly that; as it is listed it "
         f"would be {range_words(low, high, e.magnitude.unit, meaning_of(e.magnitude))}.",
-        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does, but "
-        f"{_left(found.chosen_adequacy, found.alpha)}. {misfit_in_short(found)} A further, much smaller effect is "
+        f"It lowers the sum of squares from {before:.0f} to {after:.0f}, far more than anything else does. "
+        f"{with_in_short(found)} {misfit_in_short(found)} A further, much smaller effect is "
         "possible too.",
         look_for((e,)),
         (misfit_words(found), f"What is left is largest {location}." if location else "", steps_sentence(found)),

@@ -152,7 +152,7 @@ def test_a_partial_explanation_is_stated_as_such(cases):
     assert f"a lack of {name}, about " in text
     before, after = found.base.fit.misfit, found.chosen.fit.misfit
     assert f"lowers the sum of squares from {before:.0f} to {after:.0f}" in text and after < before
-    left = f"one more change would still gain more than noise does ({with_p(found.chosen_adequacy.p_family)})"
+    left = f"With it something is left ({with_p(found.chosen_adequacy.p_family)} for the largest score)."
     assert left in text and found.chosen_adequacy.p_family <= 0.01
     assert "Look for" not in text
     assert re.search(r"a lack of \w+, about [^(]+, is a part of it", text), "its interval would hold only if it were it"
@@ -166,7 +166,7 @@ def test_a_magnitude_that_its_plausible_size_draws_down_is_told_so(cases):
         sized = replace(e, magnitude=replace(e.magnitude, prior_sd=value / times))
         return text_of(replace(found, chosen=replace(found.chosen, effects=(sized,))))
 
-    assert "It is 10 times its plausible size, which draws it down." in text(9.9)
+    assert "Its magnitude is 10 times its plausible size, which draws it down." in text(9.9)
     assert "plausible size" not in text(2.0)
 
 
