@@ -97,19 +97,21 @@ class ComparisonResult:
     @property
     def doubts(self) -> tuple[str, ...]:
         """What looks wrong in the measurement itself: units, signs and sensors."""
-        sensors = (f"Check this sensor: {finding.sentence}" for finding in self.sensor_findings)
+        sensors = (finding.warning for finding in self.sensor_findings)
         return (*self.data_doubts, *self.unit_hints, *(one.sentence for one in self.found_twice), *sensors)
 
     @property
     def checks(self) -> tuple[str, ...]:
         """What is to be checked in the measurement before anything else, such as ``sensors 1z, 2z``."""
-        doubtful = list(dict.fromkeys(name for finding in self.sensor_findings for name in finding.sensors))
+        axes = [f"the axes of {one.whose}" for one in self.sensor_findings if one.whose]
+        single = (finding.sensors for finding in self.sensor_findings if not finding.whose)
+        doubtful = list(dict.fromkeys(name for names in single for name in names))
         sensors = [f"{'sensor' if len(doubtful) == 1 else 'sensors'} {enumerated(doubtful)}"] if doubtful else []
         data = ["the measured modes, whose values are doubtful"] if self.data_doubts else []
         errors = [*(error.check for error in self.gross_errors), *(twice.check for twice in self.found_twice)]
         unsure = self.comparison is not None and numbers_hints(self.comparison)
         numbers = ["places of the nodes, which are matched by number"] if unsure else []
-        return (*data, *errors, *numbers, *sensors)
+        return (*data, *errors, *numbers, *axes, *sensors)
 
     @property
     def orthogonality(self) -> Orthogonality | None:

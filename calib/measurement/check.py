@@ -13,7 +13,7 @@ from calib.errors.errors import InputError
 from calib.measurement.modal import MeasuredModes
 from calib.measurement.rules import RULES
 
-FindingKind = Literal["flipped", "swapped", "dead"]
+FindingKind = Literal["flipped", "swapped", "dead", "axes"]
 
 
 @dataclass(frozen=True)
@@ -22,13 +22,15 @@ class SensorFinding:
 
     Attributes
     ----------
-    kind : {"flipped", "swapped", "dead"}
+    kind : {"flipped", "swapped", "dead", "axes"}
     sensors : tuple of str
-        One name, or two for swapped sensors.
+        One name, or two for swapped sensors; all those of which the axes are wrong.
     mac_before, mac_after : float
         Mean MAC over the paired modes without and with this correction, after the corrections listed earlier; a dead
-        sensor is corrected by leaving it out.
+        sensor is corrected by leaving it out. Of axes over all measured modes, each with its best partner.
     sentence : str
+    whose : str
+        Whose axes, such as ``all sensors``; empty for single sensors.
     """
 
     kind: FindingKind
@@ -36,6 +38,12 @@ class SensorFinding:
     mac_before: float
     mac_after: float
     sentence: str
+    whose: str = ""
+
+    @property
+    def warning(self) -> str:
+        """The sentence as a warning."""
+        return f"Check {'the axes' if self.whose else 'this sensor'}: {self.sentence}"
 
 
 def check_sensors(measured: np.ndarray, model: np.ndarray, names: Sequence[str]) -> tuple[SensorFinding, ...]:

@@ -36,7 +36,7 @@ def compared_entries(study: LoadedStudy, result: ComparisonResult, folder: Resul
         *(Words(f"Measurement: {note}.") for note in study.experiment.notes if not isinstance(note, Doubt)),
         *map(Warned, check_repeats(study)),
         *map(Warned, result.hints),
-        *(Warned(f"Check this sensor: {finding.sentence}") for finding in result.sensor_findings),
+        *(Warned(finding.warning) for finding in result.sensor_findings),
         pair_entries(result),
         *more_on_pairs(result),
         *(Words(sentence) for sentence in result.sentences if sentence not in result.hints),

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.correlation.modal.axes import turned_axes
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.pairing import Pairing
 from calib.correlation.modal.problem import ModalProblem
@@ -37,7 +38,9 @@ def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[Sensor
     fault. The shapes are therefore paired under trial corrections, added one by one while the sum of EMAC rises, and
     `calib.measurement.check.check_sensors` tests the sensors on these tentative pairs. A finding counts only if the
     evidence is as strong against the best pairs of the shapes as measured, without the threshold: otherwise the freedom
-    to choose partners would favour the correction.
+    to choose partners would favour the correction. Wrong axes of all sensors or of many nodes come first where they
+    explain the shapes better than single sensors do, or as well in fewer corrections (see
+    `calib.correlation.modal.axes.turned_axes`).
 
     Parameters
     ----------
@@ -53,8 +56,22 @@ def suspicious_sensors(problem: ModalProblem, found: Comparison) -> tuple[Sensor
     measured = found.measured
     if not measured.has_shapes:
         return ()
+    shares = problem.energy_shares(found.values, found.modes)
+    single = _single(problem, found, shares)
+    turned = turned_axes(problem, found, shares)
+    if turned is None:
+        return single
+    more = _single(turned.problem, turned.found, problem.energy_shares(found.values, turned.found.modes))
+    gain = (more or (turned.finding,))[-1].mac_after - (single[-1].mac_after if single else -np.inf)
+    few = gain > -reading.RULES.check_gain and len(more) + 1 < len(single)
+    return (turned.finding, *more) if few or gain > reading.RULES.check_gain else single
+
+
+def _single(problem: ModalProblem, found: Comparison, shares: np.ndarray) -> tuple[SensorFinding, ...]:
+    """Findings on single sensors and pairs; ``shares`` (n_measured, n_model) of strain energy."""
+    measured = problem.measured
     names = [s.name for s in measured.sensors]
-    search = _Search(problem, found, problem.energy_shares(found.values, found.modes))
+    search = _Search(problem, found, shares)
     partners = search.tentative()
     findings = search.check(partners, names)
     if np.array_equal(partners, found.pairing.model_index):
