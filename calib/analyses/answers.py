@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
 import pandas as pd
 
+from calib.analyses.uncertainty import ASSUMED
 from calib.correlation.frf.comparison import FRFComparison
 from calib.correlation.modal.comparison import BEYOND, WITHIN, Comparison
 from calib.hypotheses.rules import RULES
@@ -49,10 +51,17 @@ class _Compared(Protocol):
     def frfs(self) -> FRFComparison | None: ...
     @property
     def checks(self) -> Sequence[str]: ...
+    @property
+    def std_notes(self) -> Sequence[str]: ...
 
 
 def of_comparison(result: _Compared) -> Answer:
-    """Answer of a comparison without a fit."""
+    """Answer of a comparison without a fit, with the standard deviation that a fit would assume."""
+    answer = _of_comparison(result)
+    return replace(answer, sure=" ".join([answer.sure, *(n for n in result.std_notes if n.startswith(ASSUMED))]))
+
+
+def _of_comparison(result: _Compared) -> Answer:
     found = result.comparison
     if result.frfs is not None:
         return _of_frfs(result.frfs, result.checks)
@@ -89,7 +98,7 @@ def _of_responses(result: _Compared) -> Answer:
         words += f"; the largest is {100 * worst['error']:+.2f} % ({worst['response']})"
     in_std = table["error_in_std"].abs().dropna()
     if in_std.empty:
-        tested, off = "The standard deviation of the measurement is unknown, so deviations cannot be tested.", 1
+        tested, off = "No standard deviation is stated, so deviations are not tested.", 1
     else:
         off = int((in_std > RULES.off).sum())
         tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {RULES.off:g} standard deviations."

@@ -9,6 +9,9 @@ from calib.structure.model import Assumption
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
+ASSUMED = "Calibration and explanation assume a standard deviation"
+"""Beginning of the sentence on standard deviations that are not stated."""
+
 
 def assumed_std(study: LoadedStudy) -> tuple[Assumption, ...]:
     """Standard deviations that calibration and explanation assume; empty when all are stated."""
@@ -16,7 +19,7 @@ def assumed_std(study: LoadedStudy) -> tuple[Assumption, ...]:
 
 
 def assumed_words(study: LoadedStudy) -> str:
-    """The same in a few words, such as ``standard deviation of natural frequencies 0.5 % of each``; empty for none."""
+    """The same in a few words, such as ``natural frequencies 0.5 % of each``; empty for none."""
     return assumptions_in_words(assumed_std(study))
 
 
@@ -26,8 +29,11 @@ def in_one(study: AnyStudy, words: Callable[[LoadedStudy], str]) -> str:
 
 
 def assumptions_in_words(assumed: Iterable[Assumption]) -> str:
-    """Assumptions in one line; empty for none."""
-    return "; ".join(f"{a.item} {a.value} {a.unit} ({a.reason})" for a in assumed)
+    """Assumed standard deviations in one line, those of one reason together; empty for none."""
+    by_reason = dict[str, list[str]]()
+    for a in assumed:
+        by_reason.setdefault(a.reason, []).append(f"{a.item.removeprefix('standard deviation of ')} {a.value} {a.unit}")
+    return "; ".join(f"{', '.join(items)} ({reason})" for reason, items in by_reason.items())
 
 
 def std_notes(study: LoadedStudy) -> tuple[str, ...]:
@@ -39,7 +45,7 @@ def accuracy_notes(claimed: str, assumed: str) -> tuple[str, ...]:
     """Notes on standard deviations, from the claimed accuracy and the assumptions in words."""
     out = [f"Claimed accuracy, added to the standard deviation in quadrature: {claimed}."] if claimed else []
     if assumed:
-        out.append(f"Standard deviations that are not stated and that calibration and explanation assume: {assumed}.")
+        out.append(f"{ASSUMED}: {assumed}.")
     return tuple(out)
 
 

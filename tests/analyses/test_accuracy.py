@@ -9,10 +9,10 @@ import pandas as pd
 import pytest
 
 from calib.analyses.calibrate import calibrate
-from calib.analyses.compare import compare
+from calib.analyses.compare import compare, nominal_comparison
 from calib.analyses.explain import explain
 from calib.analyses.provenance.record import measured_table
-from calib.analyses.uncertainty import assumed_std
+from calib.analyses.uncertainty import assumed_std, assumed_words
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import std_for
 from calib.errors.errors import InputError
@@ -167,3 +167,10 @@ def test_an_explanation_reports_the_accuracy_at_which_its_verdict_changes(guyed,
     assert answer.figures["accuracy_that_explains"] == table["accuracy"].iloc[-1] > 0.002
     assert np.all(np.diff(table["misfit"]) < 0)
     assert bare[2].tables["accuracy"].empty and bare[2].figures["accuracy_that_explains"] is None
+
+
+def test_a_comparison_tells_the_deviation_that_a_calibration_assumes(mast, tmp_path):
+    study = LoadedStudy.load(bare_std(mast.write_study(tmp_path / "mast")))
+    told, assumed = nominal_comparison(study).answer.sure, assumed_words(study)
+    assert assumed.startswith("natural frequencies 0.5 % of each, ") and assumed.count("is stated") == 1
+    assert told.startswith("No standard deviation is stated") and assumed in told

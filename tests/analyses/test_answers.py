@@ -12,7 +12,7 @@ from calib.correlation.modal.comparison import BEYOND, UNKNOWN, WITHIN
 
 def compared(error, mac=np.nan, noise=np.nan, checks=()):
     return SimpleNamespace(
-        comparison=None, frfs=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise, checks=checks
+        comparison=None, std_notes=(), frfs=None, mean_freq_error=error, mean_mac=mac, noise_mac=noise, checks=checks
     )
 
 
@@ -97,7 +97,7 @@ def test_modes_call_for_no_calibration_where_they_agree_and_not_where_nothing_is
             summary=lambda: ("", ""), far=(), where_it_fails=lambda: table, pairing=pairing,
             measured=SimpleNamespace(has_shapes=True),
         )  # fmt: skip
-        return of_comparison(SimpleNamespace(comparison=found, frfs=None, checks=())).then
+        return of_comparison(SimpleNamespace(comparison=found, frfs=None, checks=(), std_notes=())).then
 
     assert "calib calibrate STUDY" in then(WITHIN, BEYOND) and then(UNKNOWN, UNKNOWN) == then(WITHIN, BEYOND)
     assert then(WITHIN, UNKNOWN) == then(WITHIN) != then(BEYOND)
@@ -107,7 +107,7 @@ def test_modes_call_for_no_calibration_where_they_agree_and_not_where_nothing_is
 def test_responses_that_agree_call_for_no_calibration():
     rows = [("a", 0.10, 5.0), ("b", -0.30, -1.0), ("c", np.nan, np.nan)]
     table = pd.DataFrame(rows, columns=["response", "error", "error_in_std"])
-    result = SimpleNamespace(comparison=None, frfs=None, table=table, mean_freq_error=0.2)
+    result = SimpleNamespace(comparison=None, std_notes=(), frfs=None, table=table, mean_freq_error=0.2)
     off = of_comparison(result)
     assert "calib run STUDY" in off.then and "calib calibrate STUDY" in off.then
     assert "20.00 %" in off.found and "-30.00 % (b)" in off.found and "1 of 2" in off.sure

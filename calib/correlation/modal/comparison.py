@@ -301,8 +301,8 @@ class Comparison:
             words.append(f"The mean MAC is {mean:.3f}; noise alone limits it to {limit:.3f}.")
         tested = table[table["verdict"].isin([BEYOND, WITHIN])]
         if tested.empty:
-            why = "No mode is paired" if len(lost) == n else "The standard deviation of the measurement is unknown"
-            return " ".join(words), f"{why}, so deviations cannot be tested."
+            why = "No mode is paired" if len(lost) == n else "No standard deviation is stated"
+            return " ".join(words), f"{why}, so deviations are not tested."
         count = int((tested["verdict"] == BEYOND).sum())
         chance = (1 - RULES.level) * len(tested)
         beyond = (
