@@ -14,7 +14,8 @@ from calib.api.display import Compared, compared
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.experiment import ModalTest
-from calib.imports.fe_modes import read_fe_modes
+from calib.imports.elements import Edge
+from calib.imports.fe_modes import lines_of, read_fe_modes
 from calib.measurement.files.read import read_modes
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.measurement.partners import NodePartners, node_partners
@@ -25,7 +26,7 @@ from calib.structure.modal_function import ModalFunctionModel
 
 Given: TypeAlias = str | Path | MeasuredModes
 
-DRAWN = 400
+DRAWN = 1000
 """Computed nodes without a measured one that figures show: pages with tens of thousands take minutes."""
 NAME = "computed modes"
 """Name of the model in tables and messages."""
@@ -108,7 +109,8 @@ def compare_modes(
             f"{computed.n_modes} modes are computed, and {test.used.n_modes} were measured",
             place=computed.source or "modes", remedy="compute at least as many, better twice as many",
         )  # fmt: skip
-    model, partners = model_of_modes(computed, test.measured, test.node_limit)
+    files = [None if one is None or isinstance(one, MeasuredModes) else Path(one) for one in (modes, coordinates)]
+    model, partners = model_of_modes(computed, test.measured, test.node_limit, lines_of(files))
     found = compared(_problem(model, test), None)
     by_test = {name: _with_own_numbers(answer, partners) for name, answer in found.by_test.items()}
     sides = {"measured (--sensors)": test.measured.sensors, "computed (--coordinates)": computed.sensors}
@@ -186,7 +188,7 @@ def _test(
 
 
 def model_of_modes(
-    computed: MeasuredModes, measured: MeasuredModes, node_limit: float | None = None
+    computed: MeasuredModes, measured: MeasuredModes, node_limit: float | None = None, lines: Sequence[Edge] = ()
 ) -> tuple[ModalFunctionModel, NodePartners | None]:
     """Computed modes as a model without parameters, whose sensors bear the numbers of the measured nodes.
 
@@ -197,6 +199,8 @@ def model_of_modes(
     computed, measured : MeasuredModes
     node_limit : float, optional
         See `compare_modes`.
+    lines : sequence of (int, int)
+        Pairs of computed nodes that an edge of an element joins.
 
     Returns
     -------
@@ -232,7 +236,8 @@ def model_of_modes(
         )  # fmt: skip
     beyond = max((abs(node) for node in of), default=0) + 1
     taken = set(of.values())
-    others = [node for node in directions if node not in taken]
+    on_lines = {node for line in lines for node in line}
+    others = [node for node in directions if node not in taken and (not lines or node in on_lines)]
     drawn = set(others[:: len(others) // DRAWN + 1])
     for k, s in enumerate(computed.sensors):
         if s.node in drawn:
@@ -245,7 +250,29 @@ def model_of_modes(
     result |= {"damping_ratio": computed.damping_ratio} if damped else {}
     known = _Known(result)
     listed = sensors or [Sensor(1, "x")]
-    return ModalFunctionModel(NAME, ParameterSpace(()), known, tuple(listed), computed.n_modes, damped), partners
+    numbers = {node: node + beyond for node in directions if node in drawn} | {at: node for node, at in of.items()}
+    joined = tuple((numbers[a], numbers[b]) for a, b in _coarse(lines, {n for n in numbers if n in directions}))
+    return ModalFunctionModel(
+        NAME, ParameterSpace(()), known, tuple(listed), computed.n_modes, damped, lines=joined
+    ), partners  # fmt: skip
+
+
+def _coarse(lines: Sequence[Edge], kept: set[int]) -> list[Edge]:
+    """Pairs of kept nodes that lines join, directly or over nodes that are not kept and nearer to no other one."""
+    beside: dict[int, set[int]] = {}
+    for a, b in lines:
+        beside.setdefault(a, set()).add(b)
+        beside.setdefault(b, set()).add(a)
+    nearest, front = {node: node for node in kept}, sorted(kept & beside.keys())
+    while front:
+        grown = list[int]()
+        for node in front:
+            for other in sorted(beside[node] - nearest.keys()):
+                nearest[other] = nearest[node]
+                grown.append(other)
+        front = grown
+    pairs = (sorted((nearest[a], nearest[b])) for a, b in lines if a in nearest)
+    return [(a, b) for a, b in dict.fromkeys(map(tuple, pairs)) if a != b]
 
 
 class _Known:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -10,10 +10,11 @@ import numpy as np
 
 from calib.errors.errors import InputError
 from calib.imports.coordinates import DECKS, read_coordinates
-from calib.imports.elements import transformed_nodes
+from calib.imports.elements import Edge, Element, edges_of, elements, transformed_nodes
 from calib.imports.fil import read_fil
-from calib.imports.frd import read_frd
+from calib.imports.frd import frd_elements, read_frd
 from calib.imports.keywords import deck_text, is_keyword, keyword_blocks
+from calib.imports.meshes import MESHES, has_elements, read_element_mesh
 from calib.imports.op2 import read_op2
 from calib.imports.printed import local_words, read_printed
 from calib.measurement.files.csv_format import is_rigid
@@ -98,6 +99,24 @@ def read_fe_modes(
         read = ReadModes(freq, motions, read_coordinates(coordinates, metres), notes)
     found = _as_modes(file, read)
     return replace(found, shapes=_beside_rotations(found, metres))
+
+
+def lines_of(files: Iterable[Path | None]) -> list[Edge]:
+    """Edges of the elements in the first of some files that has any: .frd, mesh (.unv, .msh) or deck; else none."""
+    for file in files:
+        suffix = "" if file is None else file.suffix.lower()
+        found: Iterable[Element] = ()
+        if file is None or not file.is_file():
+            continue
+        if suffix == ".frd":
+            found = frd_elements(file)
+        elif suffix in MESHES and (suffix not in UFF_SUFFIXES or has_elements(file)):
+            found = read_element_mesh(file).elements
+        elif suffix in DECKS:
+            found = elements(deck_text(file))
+        if edges := edges_of(found):
+            return edges
+    return []
 
 
 def _beside_rotations(found: MeasuredModes, metres: float) -> np.ndarray:

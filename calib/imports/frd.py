@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
+from calib.imports.elements import AREAS, LINE, LINE_3_LAST, SOLIDS, Edge, Element
 from calib.measurement.places import Point
 
 Found = tuple[np.ndarray, dict[tuple[int, int], np.ndarray], dict[int, Point], tuple[str, ...]]
@@ -73,6 +75,33 @@ def read_frd(file: Path) -> Found:
         (node, d): np.array([one.get(node, nothing)[d] for one in found]) for node in nodes for d in range(_COMPONENTS)
     }
     return np.array(freq), motions, points, ()
+
+
+_EDGES: Mapping[int, Sequence[Edge]] = {
+    1: SOLIDS[8], 2: SOLIDS[6], 3: SOLIDS[4], 4: SOLIDS[20], 5: SOLIDS[15], 6: SOLIDS[10],
+    7: AREAS[3], 8: AREAS[6], 9: AREAS[4], 10: AREAS[8], 11: LINE, 12: LINE_3_LAST,
+}  # fmt: skip
+"""Edges by the type of an element; corners come first (CalculiX GraphiX, result format)."""
+
+
+def frd_elements(file: Path) -> Iterator[Element]:
+    """Elements of a text file, each a line ``-1`` with its number and type and lines ``-2`` with its nodes."""
+    inside, number, nodes = False, 0, list[int]()
+    edges: Sequence[Edge] = ()
+    for line in file.read_text("ascii", errors="replace").splitlines():
+        key = line[:5].split()
+        if line.startswith("    3C"):
+            inside = True
+        elif inside and key[:1] == ["-2"]:
+            nodes += [int(one) for one in line[3:].split()]
+        elif inside:
+            if nodes:
+                yield Element(number, "", tuple(nodes), edges)
+            nodes = []
+            if key[:1] != ["-1"]:
+                return
+            number, kind = (int(one) for one in line[3:].split()[:2])
+            edges = _EDGES.get(kind, ())
 
 
 def _numbers(line: str) -> tuple[float, float, float]:

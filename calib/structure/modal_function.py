@@ -98,6 +98,8 @@ class ModalFunctionModel(Short):
     assumptions : tuple of Assumption
     sensor_tolerance : float, optional
         Largest distance of a measured node from a declared one, as in `calib.StructuralModel`.
+    lines : tuple of (int, int)
+        Pairs of nodes with a sensor each that figures join by a line.
     parts : tuple of ScaledPart
         Parts that the function scales where it is asked to; an explanation asks whether one of them is wrong.
     identity : str
@@ -137,6 +139,7 @@ class ModalFunctionModel(Short):
     assumptions: tuple[Assumption, ...] = ()
     sensor_tolerance: float | None = field(default=None, kw_only=True)
     one_sided: bool = field(default=False, kw_only=True)
+    lines: tuple[tuple[int, int], ...] = field(default=(), kw_only=True, repr=False)
     parts: tuple[ScaledPart, ...] = ()
     identity: str = ""
     memory: Memory = field(default_factory=Memory, repr=False, compare=False)
@@ -311,12 +314,13 @@ class ModalFunctionModel(Short):
 
     @property
     def mesh(self) -> Mesh:
-        """Positions of its sensors, NaN where unknown; without lines and faces."""
+        """Positions of its sensors, NaN where unknown, with its `lines`; without faces."""
         points = np.full((len(self._nodes), 3), np.nan)
         for sensor in self.sensors:
             if sensor.point is not None:
                 points[self._nodes[sensor.node]] = sensor.point
-        return Mesh(points, np.zeros((0, 2), dtype=int), ())
+        joined = [(self._nodes[a], self._nodes[b]) for a, b in self.lines]
+        return Mesh(points, np.array(joined, dtype=int).reshape(-1, 2), ("model",) * len(joined))
 
     def displacement(self, shapes: np.ndarray) -> np.ndarray:
         """Translations of the nodes of its sensors, (n_nodes, 3, n_modes); 0 in directions without a sensor."""
