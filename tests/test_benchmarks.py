@@ -5,6 +5,7 @@ import json
 import shutil
 import sys
 import tomllib
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
@@ -129,3 +130,15 @@ def test_a_cluster_whose_workers_are_killed_has_the_table_of_one_process(bench, 
     bench("cluster").main()
     found = json.loads(capsys.readouterr().out.splitlines()[-1])
     assert found["killed"] >= 1 and found["differ"] == 0 and found["points"] == 600
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not find_spec("distributed"), reason="the extra 'cluster' is not installed")
+def test_blind_runs_of_a_cluster_are_those_of_this_process(bench, tmp_path):
+    rates, subject = bench("rates"), bench("rates_subject").CHAIN
+    for folder, executor in (("here", None), ("cluster", "dask")):
+        rates.make(subject, tmp_path / folder, 1, 1, only="nothing", executor=executor)
+    here, there = ([*rates.lines(tmp_path / folder / "runs.jsonl")] for folder in ("here", "cluster"))
+    assert here[0]["verdict"] != "failed" and len(here) == len(there) == 1
+    timeless = [{key: value for key, value in row.items() if "seconds" not in key} for row in (*here, *there)]
+    assert json.dumps(timeless[0]) == json.dumps(timeless[1])

@@ -9,7 +9,8 @@
 number of workers. Lines made with other code are kept and not counted (``report --code all`` counts them). Effects that
 leave no trace are run like all others: nobody knows beforehand. Each solar array (``--of panel``) is one run, explained
 in four ways, and each bogie of ``--of bogie_frf`` one in two; their report is one table for each way, and writes one
-file for each: ``docs/rates_panel_modes.csv`` and so on.
+file for each: ``docs/rates_panel_modes.csv`` and so on. ``--executor dask`` or ``dask://HOST:PORT`` has a cluster make
+the runs, whose workers find these scripts and the folder at the same paths; a run that loses its worker is made again.
 """
 
 from __future__ import annotations
@@ -20,6 +21,9 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ[_variable] = "1"
 
 import argparse
+import contextlib
+import functools
+import importlib
 import json
 import multiprocessing
 import time
@@ -43,10 +47,9 @@ from rates_subject import ROOT, SUBJECTS, Subject
 from rates_table import report
 from rates_world import World, code_digest
 
-AnyWorld = World | PanelWorld | ChainWorld
+from calib.execution.executor import Injected
 
-_world: AnyWorld | None = None
-"""Of a worker process."""
+AnyWorld = World | PanelWorld | ChainWorld
 
 
 def main() -> None:
@@ -57,6 +60,7 @@ def main() -> None:
     arguments.add_argument("--runs", type=int, default=300, help="how many runs of the plan (default 300)")
     arguments.add_argument("--skip", type=int, default=0, help="leave out so many runs at the beginning of the plan")
     arguments.add_argument("--workers", type=int, default=2)
+    arguments.add_argument("--executor", metavar="NAME", help="dask, with so many workers here, or dask://HOST:PORT")
     arguments.add_argument("--only", help="run only scenarios whose name begins so")
     arguments.add_argument("--folder", type=Path, help="where runs and bases are kept (default results/rates_...)")
     arguments.add_argument("--code", help="report only lines of this code, or 'all' (default: the latest)")
@@ -72,10 +76,12 @@ def main() -> None:
         if given.beside:
             report_alike(lines(file), lines(given.beside))
         return
-    make(subject, folder, given.runs, given.workers, given.skip, given.only or "")
+    make(subject, folder, given.runs, given.workers, given.skip, given.only or "", given.executor)
 
 
-def make(subject: Subject, folder: Path, runs: int, workers: int, skip: int = 0, only: str = "") -> None:
+def make(
+    subject: Subject, folder: Path, runs: int, workers: int, skip: int = 0, only: str = "", executor: str | None = None
+) -> None:
     """Make those of the first so many runs of a subject's plan that the folder lacks."""
     folder.mkdir(parents=True, exist_ok=True)
     file = folder / "runs.jsonl"
@@ -89,7 +95,7 @@ def make(subject: Subject, folder: Path, runs: int, workers: int, skip: int = 0,
     with file.open("a", encoding="utf-8") as out:
         if out.tell() and not file.read_bytes().endswith(b"\n"):
             out.write("\n")  # the last line was cut off: it stands alone and is not read
-        for k, row in enumerate(rows(world, wanted, workers), 1):
+        for k, row in enumerate(rows(world, wanted, workers, executor), 1):
             out.write(json.dumps(row) + "\n")
             out.flush()
             if k % 10 == 0:
@@ -135,28 +141,54 @@ def lines(file: Path) -> Iterator[dict[str, Any]]:
                 continue
 
 
-def rows(world: AnyWorld, wanted: list[tuple[Scenario, int]], workers: int) -> Iterator[dict[str, Any]]:
+def rows(
+    world: AnyWorld, wanted: list[tuple[Scenario, int]], workers: int, executor: str | None = None
+) -> Iterator[dict[str, Any]]:
     """Answers as they come."""
-    if workers == 1:
+    asked = world.subject, world.folder, world.code
+    if executor:
+        yield from _by_cluster(Injected.of(executor, workers if executor == "dask" else None, print), asked, wanted)
+    elif workers == 1:
         yield from (_made(world, s, k) for s, k in wanted)
-        return
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(workers, context, _begin, (world.subject, world.folder, world.code)) as pool:
-        for future in as_completed([pool.submit(_run, s, k) for s, k in wanted]):
-            yield future.result()
+    else:
+        with ProcessPoolExecutor(workers, multiprocessing.get_context("spawn")) as pool:
+            for future in as_completed([pool.submit(run_of, *asked, s, k) for s, k in wanted]):
+                yield future.result()
 
 
-def _begin(subject: Subject, folder: Path, code: str) -> None:
-    global _world
+def _by_cluster(
+    chosen: Injected, asked: tuple[Subject, Path, str], wanted: list[tuple[Scenario, int]]
+) -> Iterator[dict[str, Any]]:
+    """Answers of a cluster. A run whose workers die again and again has failed; Dask tries four."""
+    import distributed
+
+    there = importlib.import_module("rates")  # workers import it, with the world that they keep
+    with contextlib.closing(chosen):
+        assert chosen.cluster is not None
+        client = chosen.cluster.client()
+        asking = {client.submit(there.run_of, *asked, s, k, pure=False): (s, k) for s, k in wanted}
+        for future in distributed.as_completed(asking, loop=client.loop):
+            try:
+                yield future.result()
+            except distributed.KilledWorker as fault:
+                yield _failed(asked[2], *asking[future], fault)
+            except (OSError, distributed.CancelledError):
+                raise chosen.cluster.lost() from None
+
+
+@functools.lru_cache(maxsize=1)
+def _settled(subject: Subject, folder: Path, code: str) -> AnyWorld:
+    """The bench of a worker process."""
     if code_digest(subject) != code:
         raise RuntimeError("the code changed meanwhile: start again")
-    _world = world_of(subject, folder, code)
-    _world.settle()
+    world = world_of(subject, folder, code)
+    world.settle()
+    return world
 
 
-def _run(scenario: Scenario, number: int) -> dict[str, Any]:
-    assert _world is not None
-    return _made(_world, scenario, number)
+def run_of(subject: Subject, folder: Path, code: str, scenario: Scenario, number: int) -> dict[str, Any]:
+    """One run, in a worker process."""
+    return _made(_settled(subject, folder, code), scenario, number)
 
 
 def _made(world: AnyWorld, scenario: Scenario, number: int) -> dict[str, Any]:
@@ -164,9 +196,14 @@ def _made(world: AnyWorld, scenario: Scenario, number: int) -> dict[str, Any]:
     try:
         return world.run(scenario, number)
     except Exception as fault:
-        row = {"code": world.code, "scenario": scenario.name, "number": number, "group": scenario.group}
-        told = {"error": f"{type(fault).__name__}: {fault}", "traceback": traceback.format_exc()}
-        return row | {"verdict": "failed", "outcome": "failed"} | told
+        return _failed(world.code, scenario, number, fault)
+
+
+def _failed(code: str, scenario: Scenario, number: int, fault: Exception) -> dict[str, Any]:
+    """The row of a run that broke, while its exception is handled."""
+    row = {"code": code, "scenario": scenario.name, "number": number, "group": scenario.group}
+    told = {"error": f"{type(fault).__name__}: {fault}", "traceback": traceback.format_exc()}
+    return row | {"verdict": "failed", "outcome": "failed"} | told
 
 
 if __name__ == "__main__":
