@@ -1,9 +1,11 @@
 """A cluster on this machine: evaluations of the reduced bogie while its workers are killed, and what a task costs.
 
-    python tests/benchmarks/cluster.py [--points 100000] [--kill 10] [--workers 2] [--write FILE]
+    python tests/benchmarks/cluster.py [--points 100000] [--kill 10] [--workers 2] [--check 1] [--write FILE]
 
-The table must be that of one process; a last line of JSON says whether it is. Bytes are those of pickles, as they
-travel. Processor time of the scheduler is that of its whole process while points without work are evaluated.
+The table must be that of one process; a last line of JSON says whether it is, and a line after every part of the points
+how far it is. ``--check 10`` has one process evaluate only every tenth point again; that each outcome is of its own
+point is always checked. Bytes are those of pickles, as they travel. Processor time of the scheduler is that of its
+whole process while points without work are evaluated.
 """
 
 from __future__ import annotations
@@ -38,6 +40,8 @@ from calib.results.results import Results
 
 EMPTY = 1000
 """Points without work by which the cost of a task is found."""
+PART = 5000
+"""Points after which it is told how far it is; one process and the cluster take turns, as a busy machine slows both."""
 TOGETHER = 10
 """Points of a task of several."""
 
@@ -56,6 +60,7 @@ def main() -> None:
     arguments.add_argument("--points", type=int, default=100_000)
     arguments.add_argument("--kill", type=float, default=10.0, help="seconds between two deaths of a worker")
     arguments.add_argument("--workers", type=int, default=2)
+    arguments.add_argument("--check", type=int, default=1, help="every how many points one is evaluated again")
     arguments.add_argument("--write", type=Path, help="append the tables to this file")
     given = arguments.parse_args()
     page, study = Page(given.write), study_of("bogie")
@@ -66,21 +71,32 @@ def main() -> None:
         reduction = reduction_of(study, Results(Path(scratch)))
         assert reduction is not None
         points = [study.search_space.complete(x) for x in sample(study.search_space, given.points, 1).points]
-        with open_evaluator(study, 1, given.points, reduction.problem, reduction.path) as evaluator:
-            expected, own = timed(lambda: evaluator.evaluate(points))
+        compared = differ = failed = 0
+        own = taken = 0.0
         with (
-            open_evaluator(study, workers, given.points, reduction.problem, reduction.path) as evaluator,
+            open_evaluator(study, 1, given.points, reduction.problem, reduction.path) as here,
+            open_evaluator(study, workers, given.points, reduction.problem, reduction.path) as there,
             killing(workers.cluster, given.kill) as (killed, arrived),
         ):
-            found, taken = timed(lambda: evaluator.evaluate(points, arrived.append))
-        differ = sum(a.status == "ok" and row(a) != row(b) for a, b in zip(found, expected, strict=True))
-        failed = sum(outcome.status == "failed" for outcome in found)
+            for first in range(0, len(points), PART):
+                part = points[first : first + PART]
+                found, seconds = timed(lambda part=part: there.evaluate(part, arrived.append))
+                taken += seconds
+                expected, seconds = timed(lambda part=part: here.evaluate(part[:: given.check]))
+                own += seconds
+                compared += len(expected)
+                failed += sum(outcome.status == "failed" for outcome in found)
+                differ += sum(dict(a.values) != dict(b) for a, b in zip(found, part, strict=True))
+                pairs = zip(found[:: given.check], expected, strict=True)
+                differ += sum(a.status == "ok" and row(a) != row(b) for a, b in pairs)
+                told = {"points": first + len(part), "killed": len(killed), "differ": differ, "failed": failed}
+                print(json.dumps(told), flush=True)
         page.table(
-            ("points", "workers killed", "other rows", "failed rows", "s by the cluster", "s by one process"),
-            [(len(points), len(killed), differ, failed, f"{taken:.1f}", f"{own:.1f}")],
+            ("points", "workers killed", "compared", "other rows", "failed", "s by the cluster", "s by one process"),
+            [(len(points), len(killed), compared, differ, failed, f"{taken:.1f}", f"{own:.1f}")],
         )
         costs(page, workers.cluster, Evaluated(reduction.problem), expected[0])
-    print(json.dumps({"points": len(points), "killed": len(killed), "differ": differ, "failed": failed}))
+    print(json.dumps(told))
 
 
 def row(outcome: Outcome) -> str:
