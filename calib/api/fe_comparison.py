@@ -158,6 +158,9 @@ def compare_files(
     found = compare_modes(modes, list(measured), **given)
     (answer,) = found.by_test.values()
     home = Results(into)
+    if (into / "comparison.csv").exists():
+        told = f"This replaces an earlier comparison in {into}; --into NAME keeps both."
+        found = replace(found, notes=(*found.notes, told))
     try:
         home.path.mkdir(parents=True, exist_ok=True)
     except OSError as fault:

@@ -114,7 +114,7 @@ def test_responses_that_agree_call_for_no_calibration():
     result.table = table.assign(error_in_std=0.5)
     assert of_comparison(result).then != off.then
     result.table = table.assign(error_in_std=np.nan)
-    assert of_comparison(result).then == off.then and "unknown" in of_comparison(result).sure
+    assert of_comparison(result).then == off.then and "is stated" in of_comparison(result).sure
 
 
 def test_parameters_that_matter_are_counted_and_what_the_study_does_otherwise_is_told():

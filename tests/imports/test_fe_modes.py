@@ -16,6 +16,7 @@ from calib.errors.errors import InputError
 from calib.imports.coordinates import read_coordinates
 from calib.imports.fe_modes import read_fe_modes
 from calib.measurement.files.uff import write_uff
+from calib.measurement.modal import Sensor
 
 X = np.linspace(0.0, 1.0, 6)
 NUMBER = np.arange(1, 4)
@@ -304,11 +305,27 @@ def test_the_command_needs_no_study(tmp_path, monkeypatch, capsys):
     (tmp_path / "shapes.csv").write_text("mode,node,direction,re\n" + "\n".join(shapes) + "\n")
     told = ["compare", "--modes", "beam.frd", "--measured", "modes.csv", "--shapes", "shapes.csv"]
     assert cli.execute(told) == 0
-    assert "1 of 1 measured modes are paired" in capsys.readouterr().out
+    told_first = capsys.readouterr().out
+    assert "1 of 1 measured modes are paired" in told_first and "replaces" not in told_first
+    assert "model %" not in told_first  # of damping, which neither side has
+    assert cli.execute(told) == 0 and "replaces an earlier comparison" in capsys.readouterr().out
     assert (tmp_path / "compared" / "report.html").stat().st_size > 10_000
     assert (tmp_path / "compared" / "mac.csv").is_file()
     for wrong in (["compare"], ["compare", "--modes", "beam.frd"], ["compare", "study", *told[1:]]):
         assert cli.execute(wrong) == 2
+
+
+def test_edges_over_nodes_that_are_not_drawn_join_those_that_are():
+    count = 2 * DRAWN + 500
+    sensors = [Sensor(k + 1, "z", (float(k), 0.0, 0.0)) for k in range(count)]
+    modes = calib.modes([10.0], np.linspace(1.0, 2.0, count)[:, None], sensors=sensors)
+    at = [Sensor(7, "z", (10.0, 0.0, 0.0)), Sensor(8, "z", (90.0, 0.0, 0.0))]
+    test = calib.modes([10.0], [[1.0], [2.0]], sensors=at)
+    model = model_of_modes(modes, test, lines=[(k, k + 1) for k in range(1, count)])[0]
+    ends = np.sort(model.mesh.points[model.mesh.lines, 0], axis=1)
+    drawn = np.sort(model.mesh.points[:, 0])
+    chain = np.stack([drawn[:-1], drawn[1:]], axis=1)
+    assert len(drawn) <= DRAWN + 2 and np.allclose(ends[np.argsort(ends[:, 0])], chain)
 
 
 def test_shapes_of_other_directions_and_listings_without_a_title(tmp_path):

@@ -164,11 +164,12 @@ class Comparison:
     # -- tables ------------------------------------------------------------------------------------------------------
 
     def comparison_table(self) -> pd.DataFrame:
-        """One row per measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired.
+        """One row per measured mode: frequencies in Hz, damping ratios, MAC and EMAC; NaN where unpaired or undamped.
 
         ``model_mode`` is the number of the paired model mode, from 1, missing where there is none; ``freq_error`` is
         (natural model - natural measured)/natural measured, a signed fraction.
         """
+        nothing = np.full(self.modes.n_modes, np.nan)  # an undamped model says nothing of damping
         return pd.DataFrame(
             {
                 "mode": list(self.measured.names),
@@ -179,7 +180,7 @@ class Comparison:
                 "damped_freq_model": self.paired(self.modes.damped_freq),
                 "freq_error": self.freq_error,
                 "damping_ratio_measured": self.measured.damping_ratio,
-                "damping_ratio_model": self.paired(self.modes.damping_ratio),
+                "damping_ratio_model": self.paired(self.modes.damping_ratio if self.model.dissipates else nothing),
                 "mac": self.pairing.mac,
                 "emac": self.pairing.emac,
                 "margin": self.pairing.margin,
