@@ -70,7 +70,8 @@ class NodePartners:
         most = f" of {_length(worst['limit'])}" if np.isfinite(worst["limit"]) else ""
         return (
             f"{_nodes(len(self.table))} placed on {what} by distance, "
-            f"{_length(self.table['distance'].median())} off in the median; node {worst['node']} is the farthest for "
+            f"{_length(self.table['distance'].median())} off in the median; "
+            f"measured node {worst['node']} is the farthest for "
             f"its limit, {_length(worst['distance'])}{most}."
         )
 

@@ -137,4 +137,5 @@ def _dof_words(model: StructuralModel, k: int) -> str:
     """Name of a degree of freedom: number, node and direction."""
     node, direction = int(model.dofs.node[k]), int(model.dofs.direction[k])
     x, y, z = model.mesh.points[node]
-    return f"number {k + 1} ({_MOTIONS[direction]} of node {node + 1} at ({x:g}, {y:g}, {z:g}) m)"
+    label = model.labels[node] if model.labels else node + 1
+    return f"number {k + 1} ({_MOTIONS[direction]} of node {label} at ({x:g}, {y:g}, {z:g}) m)"

@@ -285,6 +285,19 @@ def test_an_imported_study_is_explained_and_extended_by_the_command(imported, tm
     assert "added_mass_4" not in {e.name for e in extended.effects}
 
 
+def test_points_bear_the_numbers_of_the_model_where_the_test_has_others(imported, tmp_path):
+    study = tmp_path / "renumbered"
+    shutil.copytree(imported, study)
+    shapes = pd.read_csv(study / "shapes.csv")
+    shapes.assign(node=shapes["node"] + 100).to_csv(study / "shapes.csv", index=False)
+    places = "".join(f"{100 + n},0,0,{3.0 * n}\n" for n in range(1, FLOORS + 1))
+    (study / "sensors.csv").write_text("node,x,y,z\n" + places)
+    text = (study / "study.toml").read_text()
+    (study / "study.toml").write_text(text.replace("[measurement]\n", '[measurement]\nsensors = "sensors.csv"\n'))
+    effects = {e.name: e.title for e in calib.Study.load(study, progress=False).effects}
+    assert effects["added_mass_4"] == "A mass at node 4 (104 in the test)"
+
+
 def test_a_sensor_off_the_model_is_told_where_it_stands_and_not_under_effects(imported, tmp_path):
     study = tmp_path / "off"
     shutil.copytree(imported, study)

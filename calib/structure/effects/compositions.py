@@ -26,6 +26,7 @@ from calib.structure.effects.part_compositions import (
     of_supports,
 )
 from calib.structure.effects.point_compositions import (
+    at_node,
     further_spots,
     heavy,
     held_at,
@@ -113,7 +114,7 @@ def compositions(
             f"added mass at sensor {sensor.name}",
         )
         for sensor in sensors
-        if f"node {sensor.node}" in placed and sensor.direction in DIRECTIONS[:3]
+        if at_node(model, sensor).at in placed and sensor.direction in DIRECTIONS[:3]
     ]
     held, mass = [], heavy(model, model.matrices(values)[2])
     for spot in further_spots(model, sensors):

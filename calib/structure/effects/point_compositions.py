@@ -82,7 +82,7 @@ def of_sensors(
     own = diagonal.tolist()
     apart = (diagonal[:, None] + diagonal - flexibility - flexibility.T).tolist()  # of two sensors against each other
 
-    spots = [spot for own in _by_place(sensors).values() if moving(model, (spot := _at_node(own[0])).place)]
+    spots = [spot for own in _by_place(sensors).values() if moving(model, (spot := at_node(model, own[0])).place)]
     spots += further_spots(model, sensors)
     points = [spot.point for spot in spots]
     free = [str(moving(model, spot.place)) for spot in spots]
@@ -143,7 +143,8 @@ def further_spots(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Spo
         n = int(distance.argmax())
         x, y, z = (round(float(c), 4) + 0.0 for c in points[n])
         distance = np.minimum(distance, np.linalg.norm(points - points[n], axis=1))
-        spot = Spot((None, (x, y, z)), f"the point ({x:.2f}, {y:.2f}, {z:.2f})", f"point {len(out) + 1}")
+        at = f"the point ({x:.2f}, {y:.2f}, {z:.2f})" + (f", node {model.labels[n]}" if model.labels else "")
+        spot = Spot((None, (x, y, z)), at, f"point {len(out) + 1}")
         out += [spot] if moving(model, spot.place) else []
     return out
 
@@ -285,8 +286,14 @@ def _placed(model: StructuralModel, sensors: Sequence[Sensor]) -> list[Sensor]:
     return [s for s in sensors if s.point is not None and s.direction in DIRECTIONS[:3]]
 
 
-def _at_node(sensor: Sensor) -> Spot:
-    return Spot(_place(sensor), f"node {sensor.node}", str(sensor.node))
+def at_node(model: StructuralModel, sensor: Sensor) -> Spot:
+    """The place of a sensor, by the label of the model's node there where it has labels, else by the measured node."""
+    if not model.labels:
+        return Spot(_place(sensor), f"node {sensor.node}", str(sensor.node))
+    nearest = int(np.linalg.norm(model.mesh.points - np.array(_place(sensor)[1]), axis=1).argmin())
+    label = model.labels[nearest]
+    measured = "" if label == sensor.node else f" ({sensor.node} in the test)"
+    return Spot(_place(sensor), f"node {label}{measured}", str(label))
 
 
 def _place(sensor: Sensor) -> Place:
