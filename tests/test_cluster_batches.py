@@ -2,6 +2,7 @@
 
 import pytest
 
+from calib.errors.errors import InputError
 from calib.execution import cluster_worker
 from calib.execution.cluster import Cluster, _Batch
 from calib.execution.outcome import WORKER_DIED, Outcome
@@ -101,3 +102,54 @@ def test_points_whose_worker_was_killed_are_tried_alone_and_then_have_failed():
     client.tasks[-1].end(KilledWorker())
     some.next_outcomes()
     assert [(o.status, o.error) for o in some.in_order()] == [("ok", ""), ("failed", f"{WORKER_DIED} twice")]
+
+
+def test_a_result_that_is_lost_with_its_worker_is_awaited_again():
+    client = Client("a", "b")
+    some = batch(client, points(1, 2))
+    some.hand_over(None)
+    first, second = client.tasks
+    first.end()
+    first.status = "lost"  # its worker died before the result was fetched: Dask makes it again
+    second.end()
+    assert [o.values for o in some.next_outcomes()] == points(2) and some.unfinished()
+    first.end()
+    some.next_outcomes()
+    assert [o.responses["y"] for o in some.in_order()] == [1.0, 2.0] and len(client.tasks) == 2
+
+
+def test_a_worker_that_dies_while_results_are_fetched_loses_none():
+    client = Client("a", "b")
+    some, gather = batch(client, points(1, 2)), client.gather
+    some.hand_over(None)
+    first, second = client.tasks
+
+    def failing(futures, errors):
+        first.status, first.fault, client.gather = "error", KilledWorker(), gather
+        raise first.fault
+
+    client.gather = failing
+    for task in (first, second):
+        task.end()
+    assert some.next_outcomes() == []
+    for task in (first, second):
+        task.answered(task)  # Dask calls at once where a future has ended
+    some.next_outcomes()
+    assert [(o.values["x"], o.status, o.error) for o in some.in_order()] == [
+        (1.0, "failed", f"{WORKER_DIED} twice"), (2.0, "ok", "")
+    ]  # fmt: skip
+
+
+def test_results_that_nobody_can_fetch_are_told():
+    client = Client("a")
+    some = batch(client, points(1))
+    some.hand_over(None)
+
+    def failing(futures, errors):
+        raise OSError("no route")
+
+    client.gather = failing
+    client.tasks[0].end()
+    with pytest.raises(InputError, match="went away") as told:
+        some.next_outcomes()
+    assert told.value.__cause__ is None  # a sentence: the command keeps tracebacks of a user's own code only

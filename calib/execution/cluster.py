@@ -101,21 +101,25 @@ class Cluster:
             address, end = (found[1], _nothing) if found else started(self._workers or available_cores())
             try:
                 self._client = Client(address, timeout=_CONNECT, set_as_default=False)
-            except (OSError, ValueError, TimeoutError) as fault:
+            except (OSError, ValueError, TimeoutError):
                 end()
                 raise InputError(
                     f"no Dask scheduler answers at {address}", place="executor",
                     remedy="start one with 'dask scheduler', or correct the address",
-                ) from fault  # fmt: skip
+                ) from None  # fmt: skip
             self._end = weakref.finalize(self, _closed, self._client, end)
         return self._client
 
-    def threads(self) -> int:
-        """Points that all workers evaluate at once; 0 while there is no worker."""
+    def workers(self) -> dict[str, int]:
+        """Addresses of the workers, and points that each evaluates at once."""
         try:
-            return sum(self.client().nthreads().values())
+            return dict(self.client().nthreads())
         except (OSError, RuntimeError, TimeoutError):  # the scheduler is gone
             raise self.lost() from None
+
+    def threads(self) -> int:
+        """Points that all workers evaluate at once; 0 while there is no worker."""
+        return sum(self.workers().values())
 
     def lost(self) -> InputError:
         """The fault of a scheduler that went away."""
@@ -276,19 +280,25 @@ class _Batch:
             self._look()
         before = len(self._outcomes)
         tasks = [self._running.pop(future.key) for future in ended if future.key in self._running]
-        good = [(future, numbers) for future, numbers in tasks if future.status == "finished"]
+        states = [future.status for future, _ in tasks]  # once: they change where a worker dies
+        good = [task for task, state in zip(tasks, states, strict=True) if state == "finished"]
         try:
             answers: Sequence[ParcelOutcomes] = self._client.gather([future for future, _ in good], errors="raise")
-        except Exception as fault:
-            raise self._cluster.lost() from fault
-        for answer, (_, numbers) in zip(answers, good, strict=True):
+        except Exception:
+            if all(future.status == "finished" for future, _ in good):
+                raise self._cluster.lost() from None
+            answers = []  # the worker of one died meanwhile: all are asked again
+            states = ["lost" if state == "finished" else state for state in states]
+        for answer, (_, numbers) in zip(answers, good, strict=False):
             if answer.fault is not None:
                 raise answer.fault
             for k, outcome in zip(numbers, answer.outcomes, strict=True):
                 self._known(k, outcome, answer.worker)
-        for future, numbers in tasks:
-            if future.status != "finished":
+        for (future, numbers), state in zip(tasks, states, strict=True):
+            if state in ("error", "cancelled"):
                 self._lost(numbers, self._fault_of(future))
+            elif state != "finished":  # its result was lost with a worker: the scheduler has it made once more
+                self._await(future, numbers)
         return list(self._outcomes.values())[before:]
 
     def cancel(self) -> None:
@@ -300,11 +310,14 @@ class _Batch:
     # -- one task ------------------------------------------------------------------------------------------------------
 
     def _submit(self, numbers: list[int], avoided: str = "") -> None:
-        others = [name for name in self._client.nthreads() if name != avoided] if avoided else []
+        others = [name for name in self._cluster.workers() if name != avoided] if avoided else []
         future = self._client.submit(
             cluster_worker.evaluate_parcel, self._parcel, [self._points[k] for k in numbers], pure=False,
             workers=others or None, allow_other_workers=bool(others),
         )  # fmt: skip
+        self._await(future, numbers)
+
+    def _await(self, future: Any, numbers: list[int]) -> None:
         self._running[future.key] = future, numbers
         future.add_done_callback(self._ended.put)
 
@@ -332,7 +345,7 @@ class _Batch:
                 raise InputError(
                     f"a worker of {self._cluster.name} cannot import calib ({error_line(below)})", place="executor",
                     remedy="start the workers from an environment that has calib and its extra 'cluster'",
-                ) from fault  # fmt: skip
+                ) from None  # fmt: skip
             below = below.__cause__ or below.__context__
         return fault
 
