@@ -259,7 +259,7 @@ class _Batch:
         if seconds is not None and seconds < WORTHWHILE:
             self._cluster.once(
                 "worth",
-                f"a point takes {1e3 * seconds:.2g} ms: below {1e3 * WORTHWHILE:g} ms a cluster does not pay; own "
+                f"a point takes {1e3 * seconds:.3g} ms: below {1e3 * WORTHWHILE:g} ms a cluster does not pay; own "
                 "processes do (--executor processes)",
             )
         size = 1
@@ -327,7 +327,7 @@ class _Batch:
             if self._deaths[k] < 2:
                 self._submit([k], avoided=name)
                 return
-            outcome = failed(outcome.values, f"{WORKER_DIED} twice", outcome.seconds)
+            outcome = failed(outcome.values, f"{WORKER_DIED} {_times(self._deaths[k])}", outcome.seconds)
         self._settle(k, outcome)
 
     def _settle(self, k: int, outcome: Outcome) -> None:
@@ -358,7 +358,7 @@ class _Batch:
             if killed and self._deaths.get(k, 0) < 2:
                 self._submit([k])
             else:
-                why = "twice" if killed else f"({error_line(fault)})"
+                why = _times(self._deaths[k]) if killed else f"({error_line(fault)})"
                 self._settle(k, failed(self._points[k], f"{WORKER_DIED} {why}"))
 
     def _look(self) -> None:
@@ -367,6 +367,11 @@ class _Batch:
         self._without = 0.0 if self._threads else self._without + _LOOK
         if self._without >= _PATIENCE:
             self._cluster.once("workers", f"the cluster {self._cluster.name} has no worker: points wait for one")
+
+
+def _times(deaths: int) -> str:
+    """How often a point's process died, where that is more than once."""
+    return "twice" if deaths == 2 else f"{deaths} times"
 
 
 def _nothing() -> None:
