@@ -13,11 +13,12 @@ import pytest
 
 import calib
 from calib.errors.errors import InputError
-from calib.execution import cluster_worker
+from calib.execution import cluster_tasks, cluster_worker
 from calib.execution.cluster import Cluster
 from calib.execution.evaluate import Evaluator
 from calib.execution.executor import Injected
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED
+from calib.execution.tasks import in_this_process
 from calib.study.study_text import read_settings
 
 INSTALLED = pytest.mark.skipif(
@@ -132,10 +133,10 @@ def test_the_executor_of_a_study(entry, good, tmp_path):
 
 def test_workers_of_another_version_are_refused_in_one_sentence():
     own = cluster_worker.library_versions()
-    cluster_worker._require_same(own, "tcp://a:1")
+    cluster_worker.require_same(own, "tcp://a:1")
     assert {"calib", "Python", "numpy"} <= set(own)
     with pytest.raises(InputError, match=re.escape(f"tcp://a:1 has calib {own['calib']}, and this")):
-        cluster_worker._require_same(own | {"calib": "0.0.1"}, "tcp://a:1")
+        cluster_worker.require_same(own | {"calib": "0.0.1"}, "tcp://a:1")
 
 
 def test_a_missing_package_is_told(monkeypatch):
@@ -246,6 +247,30 @@ def test_below_a_nanny_of_dasks_own_points_are_evaluated_and_a_limit_is_refused(
         assert {o.responses["threads"] for o in found[:2]} == {1.0}
         with pytest.raises(InputError, match="DAEMON"):
             Injected.of(client).evaluator(source, 60.0).evaluate(points(1))
+
+
+@INSTALLED
+@pytest.mark.slow
+def test_long_tasks_are_done_by_workers_and_those_that_fail_there_here(two, monkeypatch):
+    monkeypatch.setattr(cluster_tasks, "LONG", 0.0)
+    here, told = os.getpid(), []
+
+    def task(shared, item):
+        if item == 3 and os.getpid() != here:
+            os._exit(3)
+        if item == 5:
+            raise InputError("five", place="item")
+        return shared + item, os.getpid()
+
+    share = two.tasks(in_this_process)
+    found = share(task, 10, range(3), told.append)
+    assert [value for value, _ in found] == [10, 11, 12] and told == sorted(told) and max(told) == 3
+    assert found[0][1] == here and here not in {pid for _, pid in found[1:]}
+    assert share(task, 10, [3, 3]) == [(13, here)] * 2  # its workers die
+    with pytest.raises(InputError, match="five"):
+        share(task, 10, [0, 5, 6])
+    monkeypatch.setattr(cluster_tasks, "LONG", 1e9)
+    assert {pid for _, pid in share(task, 10, [0, 1])} == {here}
 
 
 # -- studies and problems ----------------------------------------------------------------------------------------------

@@ -115,7 +115,7 @@ def evaluate_parcel(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> Pa
     name = str(get_worker().address)
     outcomes: list[Outcome] = []
     try:
-        _require_same(parcel.versions, name)
+        require_same(parcel.versions, name)
         if multiprocessing.current_process().daemon:
             outcomes += _in_this_process(parcel, points, name)
         else:
@@ -126,7 +126,8 @@ def evaluate_parcel(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> Pa
     return ParcelOutcomes(name, tuple(outcomes))
 
 
-def _require_same(wanted: Mapping[str, str], name: str) -> None:
+def require_same(wanted: Mapping[str, str], name: str) -> None:
+    """InputError where this worker has other versions than the asking process."""
     own = library_versions()
     if other := [part for part in wanted if own[part] != wanted[part]]:
         theirs = " and ".join(f"{part} {own[part]}" for part in other)

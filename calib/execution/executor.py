@@ -17,7 +17,7 @@ from calib.execution import worker
 from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, error_line
 from calib.execution.stage import Tell, warned
-from calib.execution.tasks import one_thread
+from calib.execution.tasks import Share, one_thread
 from calib.execution.worker import Source
 
 if TYPE_CHECKING:
@@ -148,6 +148,14 @@ class Injected:
         if self.cluster is not None:
             return self.cluster.evaluator(source, time_limit or usual_limit, required=time_limit is not None)
         return ExecutorEvaluator(source, self, time_limit)
+
+    def tasks(self, others: Share) -> Share:
+        """Who does independent tasks: a cluster what takes long, ``others`` the rest, and all without one."""
+        if self.cluster is None:
+            return others
+        from calib.execution.cluster_tasks import ClusterTasks
+
+        return ClusterTasks(self.cluster, others)
 
     @property
     def at_once(self) -> int:

@@ -167,15 +167,16 @@ def tasks_shared(workers: Workers) -> Iterator[None]:
     """While this lasts, worker processes share the tasks of `each`; they are started when they pay off.
 
     Where they are shared already, that goes on, whatever ``workers`` is. An injected executor does not take them: each
-    task needs matrices and bases, which are large. Beside a cluster, processes of this machine do. Points of a user's
-    function that are asked for together are shared by either, see `calib.analyses.provenance.recorded.recorded`.
+    task needs matrices and bases, which are large. A cluster takes those of a second and more, and processes of this
+    machine the others. Points of a user's function that are asked for together are shared by either, see
+    `calib.analyses.provenance.recorded.recorded`.
     """
     with nullcontext() if workers == 1 else points_shared():
         if are_shared() or (isinstance(workers, Injected) and workers.cluster is None):
             yield
             return
         team = Team(workers) if isinstance(workers, int) else Team(available_cores(), PATIENCE)
-        with team, shared_by(team):
+        with team, shared_by(workers.tasks(team) if isinstance(workers, Injected) else team):
             yield
 
 
