@@ -16,7 +16,7 @@ from calib.correlation.modal.comparison import BEYOND, WITHIN, Comparison
 from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from calib.problem.joint import of_test
-from calib.results.answer import Answer
+from calib.results.answer import Answer, signed
 
 if TYPE_CHECKING:
     from calib.analyses.fit_statistics import FitStatistics
@@ -95,7 +95,7 @@ def _of_responses(result: _Compared) -> Answer:
     known = table.dropna(subset=["error"])
     if len(known):
         worst = known.iloc[int(known["error"].abs().to_numpy().argmax())]
-        words += f"; the largest is {100 * worst['error']:+.2f} % ({worst['response']})"
+        words += f"; the largest is {signed(100 * worst['error'], 2)} % ({worst['response']})"
     in_std = table["error_in_std"].abs().dropna()
     if in_std.empty:
         tested, off = "No standard deviation is stated, so deviations are not tested.", 1

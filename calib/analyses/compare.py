@@ -34,7 +34,7 @@ from calib.experiment.test import ForwardProblem
 from calib.measurement.check import SensorFinding, place_hints
 from calib.measurement.doubts import doubts_of, modal_doubts
 from calib.measurement.partners import NodePartners
-from calib.results.answer import Answer
+from calib.results.answer import Answer, signed
 from calib.results.results import Results
 from calib.structure.located import sensor_partners
 from calib.study.study import LoadedStudy
@@ -207,7 +207,7 @@ class ComparisonResult:
             )
         if found is not None and found.far:
             error = dict(zip(found.measured.names, found.freq_error, strict=True))
-            listed = ", ".join(f"{name} ({100 * error[name]:+.0f} %)" for name in found.far)
+            listed = ", ".join(f"{name} ({signed(100 * error[name], 0)} %)" for name in found.far)
             out.append(
                 f"More than {100 * RULES.far_error:.0f} % off in frequency: {listed}. Check the pairing and the units."
             )

@@ -17,6 +17,7 @@ from calib.inference.identify import posterior
 from calib.inference.region import InfeasibleError
 from calib.inference.rules import RULES
 from calib.problem.space import LinearConstraint, Parameter, ParameterSpace
+from calib.results.answer import with_std
 
 COLUMNS = ("parameter", "value", "unit", "std", "adds_to", "std_without", "std_with", "matters", "words")
 
@@ -337,7 +338,7 @@ def considered_table(
         grows = f"takes the standard deviation of {to} from {without:.3g} to {with_it:.3g}{_unit(space[to].unit)}{also}"
         if k < len(held_sd):
             value, unit = at.values[name], space[name].unit
-            words = f"{name} is held at {value:.5g} ± {sd:.3g}{_unit(unit)}, which {grows}: select it, or state how "
+            words = f"{name} is held at {with_std(value, sd, _unit(unit))}, which {grows}: select it, or state how "
             words += "sure its value is."
         elif k < single:
             value, unit = 0.0, "-"

@@ -13,6 +13,7 @@ from calib.measurement.alignment import aligned_repeats, mean_and_std, median_of
 from calib.measurement.mac import mac
 from calib.measurement.outliers import emptied, far_values, find_outlying
 from calib.measurement.rules import RULES
+from calib.results.answer import with_std
 
 Pooling = Literal["robust", "plain"]
 Kind = Literal["frequency", "damping", "shape", "sensor", "entry", "response"]
@@ -183,8 +184,8 @@ def _value_sentence(one: Disagreement, too_few: int) -> str:
     """Sentence on a single value; ``too_few`` is the number of repeats if it is too small to leave it out, else 0."""
     unit = " Hz" if one.kind == "frequency" else ""
     label = f"response {one.mode}" if one.kind == "response" else f"{one.kind} of mode {one.mode}"
-    with_ = f"{one.mean_with:.5g} ± {one.std_with:.2g}{unit}"
-    rest = f"{one.mean_without:.5g} ± {one.std_without:.2g}{unit}"
+    with_ = with_std(one.mean_with, one.std_with, unit)
+    rest = with_std(one.mean_without, one.std_without, unit)
     off = one.value - one.mean_without
     share = 100.0 * abs(off / one.mean_without) if one.mean_without else float("inf")
     done = f"left out: the mean is {rest}, with it {with_}" if one.left_out else f"kept: {with_}, without it {rest}"

@@ -13,6 +13,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem.candidate import Candidate
 from calib.problem.space import Parameter
+from calib.results.answer import signed
 
 _NAMED = 3
 """Pulled parameters that are told one by one."""
@@ -74,11 +75,11 @@ def _pull_words(rows: Sequence[_Pull]) -> list[str]:
     pulled_rows = [(name, score, limit) for name, *_, score, limit, pulled in rows if pulled]
     if len(pulled_rows) <= _NAMED:
         return [
-            f"{name} has shifted by {score:+.1f} times its expected deviation (limit {limit:.1f})"
+            f"{name} has shifted by {signed(score, 1)} times its expected deviation (limit {limit:.1f})"
             for name, score, limit in pulled_rows
         ]
     most = sorted(pulled_rows, key=lambda row: -abs(row[1]))[:_NAMED]
-    named = ", ".join(f"{name} by {score:+.1f}" for name, score, _ in most)
+    named = ", ".join(f"{name} by {signed(score, 1)}" for name, score, _ in most)
     return [
         f"{len(pulled_rows)} of {len(rows)} parameters have shifted too far, most of all {named} expected deviations "
         f"(limit {pulled_rows[0][2]:.1f})"

@@ -18,7 +18,7 @@ from mpl_toolkits.mplot3d.axes3d import Axes3D
 
 from calib.report import scene
 from calib.report.numbers import fixed, places, significant
-from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WITH, figure_width, in_column
+from calib.report.style import AFTER, BLACK, GREY, MEASURED, REST, VERMILLION, WITH, figure_width, fill, in_column
 from calib.report.svg import hover
 
 _DATA = {
@@ -245,7 +245,7 @@ def answer_figure(
 
 
 def _folded(text: str, letters: int) -> str:
-    return "\n".join(part for line in text.splitlines() for part in textwrap.wrap(line, letters))
+    return "\n".join(fill(line, letters) for line in text.splitlines())
 
 
 def _mark(ax: Axes3D, points: np.ndarray, gid: str, look: dict[str, Any], order: int) -> None:

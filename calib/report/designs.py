@@ -14,6 +14,7 @@ from scipy.stats import spearmanr
 
 from calib.errors.errors import InputError
 from calib.report import style
+from calib.report.numbers import fixed
 
 _CELLS = 100
 """Cells of the density along each axis."""
@@ -71,8 +72,8 @@ def draw_anthill(
     left = len(values) - len(known)
     words = f"{len(known)} designs" + (f", {left} without a value" if left else "")
     if all(np.ptp(column) > 0 for column in known.T):
-        rank = float(spearmanr(*known.T).statistic)
-        words += f"; correlation {np.corrcoef(along.T)[0, 1]:+.2f}, of ranks {rank:+.2f}"
+        linear, rank = float(np.corrcoef(along.T)[0, 1]), float(spearmanr(*known.T).statistic)
+        words += f"; correlation {fixed(linear, 2, sign=True)}, of ranks {fixed(rank, 2, sign=True)}"
     ax.set_title(words, loc="left", fontsize=9)
     ax.set_xlabel(labels.get(x, x))
     ax.set_ylabel(labels.get(y, y))

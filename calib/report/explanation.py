@@ -212,7 +212,7 @@ def ranked_effects_figure(table: pd.DataFrame) -> Figure:
     fewer = f"The {MOST} with most evidence of {len(table)} effects.\n" if len(table) > MOST else ""
     note = fewer + (f"{_NOTE}\n{_TOGETHER}" if _named_together(table) else _NOTE)
     if style.in_column():
-        note = "\n".join(textwrap.fill(line, _NOTE_LINE) for line in note.split("\n"))
+        note = "\n".join(style.fill(line, _NOTE_LINE) for line in note.split("\n"))
     figure.supxlabel(note, x=0.02, ha="left", fontsize=8, color=style.GREY, linespacing=1.4)
     return figure
 
@@ -258,8 +258,7 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     size = 7.5 if count <= 12 else 7.5 * 12.5 / count
     for i, j in np.argwhere(np.isfinite(values)) if count <= _NUMBERED else ():
         colour = "white" if abs(values[i, j]) > 0.65 else style.BLACK
-        text = f"{round(values[i, j], 2) + 0.0:.2f}".replace("-", "−")
-        ax.text(j, i, text, ha="center", va="center", fontsize=size, color=colour)
+        ax.text(j, i, fixed(values[i, j], 2), ha="center", va="center", fontsize=size, color=colour)
     hover_cells(
         ax,
         [
@@ -268,7 +267,8 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
         ],
     )
     style.separate_cells(ax, count, count)
-    for i, j in np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool)):
+    collinear = np.argwhere((np.abs(values) > COLLINEAR) & ~np.eye(count, dtype=bool))
+    for i, j in collinear:
         looks: dict[str, Any] = {"fill": False, "edgecolor": style.BLACK, "linewidth": 1.8, "clip_on": False}
         ax.add_patch(Rectangle((j - 0.46, i - 0.46), 0.92, 0.92, gid="collinear", zorder=4, **looks))
     known = {name: f"γ\xa0{unabsorbed[name]:.2f}" for name in names if not pd.isna(unabsorbed.get(name, math.nan))}
@@ -276,13 +276,14 @@ def draw_confounding(table: pd.DataFrame, ax: Axes | None = None, *, effects: pd
     words = [_two_lines(str(titles.get(n, n)), f" ({ends[n]})" if ends[n] else "") for n in names]
     if style.in_column():  # rows are named by what columns are on a page, and columns numbered
         words = [f"{n}  {k}" + (f"\n{known[n]}" if n in known else "") for k, n in enumerate(names, start=1)]
-        ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=7)
+        ax.set_xticks(range(count), [str(k) for k in range(1, count + 1)], fontsize=7, rotation=90 if count > 12 else 0)
     else:
         ax.set_xticks(range(count), names, rotation=90, fontsize=8)
     ax.set_yticks(range(count), words, fontsize=7.5)
-    note = f"outlined: |ρ| > {COLLINEAR:g}, collinear"
+    notes = [f"outlined: |ρ| > {COLLINEAR:g}, collinear"] if len(collinear) else []
+    notes += ["γ: share that the parameters cannot explain"] if known else []
     at: Any = "right" if style.in_column() else "center"  # a narrow panel right of its names
-    ax.set_xlabel(note + ("; γ: share that the parameters cannot explain" if known else ""), loc=at)
+    ax.set_xlabel("; ".join(notes), loc=at)
     bar = style.bar_beside(ax, image, "")
     between = "\n" if style.in_column() else " "
     bar.set_label(f"correlation ρ of the{between}change patterns (–)", loc=at)

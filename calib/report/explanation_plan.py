@@ -56,7 +56,8 @@ def plan_explanation(folder: Folder) -> Iterator[Drawing]:
     yield from _misfits(folder, kinds, rest, name)
     yield from _suspects(folder)
     if pulls is not None:
-        yield Drawing("pulls", "parameter pulls", bound(draw_pulls, pulls, attempt=attempt), ("pulls",))
+        caption = "shifts of the parameters from their nominal values"
+        yield Drawing("pulls", caption, bound(draw_pulls, pulls, attempt=attempt), ("pulls",))
     yield from _effects(folder, rest, attempt)
     if errors is not None:
         draw = bound(draw_errors, errors, name=name)

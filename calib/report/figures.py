@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import re
-import textwrap
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
@@ -32,6 +31,7 @@ from calib.report.style import (
     Width,
     add_heading,
     content,
+    fill,
     picture_key,
     picture_width,
     style,
@@ -226,6 +226,8 @@ _LETTERS = 11.5
 """Letters of an axis' label on an inch of the width of the figure."""
 _SMALLEST = 7.0
 """Smallest text in a column, in points."""
+_APART = 1.2
+"""Least width of a cell of a matrix over that of its number, so that numbers are read apart."""
 _PIXEL = 1.0
 """Part of a text outside the figure that is not seen."""
 
@@ -252,7 +254,7 @@ def is_legible(figure: Figure) -> bool:
         return False
     flat = [text for text in texts if not isinstance(text, Text3D)]  # those in space have no place in the figure
     boxes = _boxes(text for text in flat if not any(text is label for label in beyond))
-    if not all(whole.containsx(box.x0) and whole.containsx(box.x1) for box in boxes):
+    if not all(whole.contains(box.x0, box.y0) and whole.contains(box.x1, box.y1) for box in boxes):
         return False
     in_space = [[text for text in ax.texts if any(text is one for one in flat)] for ax in figure.axes if not ax.axison]
     return not any(
@@ -265,7 +267,7 @@ def wrap_labels(figure: Figure) -> None:
     room = int(_LETTERS * float(figure.get_size_inches()[0]))
     for ax in figure.axes:
         lines = ax.get_xlabel().split("\n")
-        ax.set_xlabel("\n".join(textwrap.fill(line, room, break_long_words=False) for line in lines))
+        ax.set_xlabel("\n".join(fill(line, room, break_long_words=False) for line in lines))
 
 
 def fit_cells(figure: Figure) -> None:
@@ -289,7 +291,7 @@ def fit_cells(figure: Figure) -> None:
             for text in own:
                 text.set_text(shorten(text.get_text()))
             boxes = _boxes(text for text in own if _is_visible(text))
-            if all(box.width < frame.width / columns and box.height < frame.height / rows for box in boxes):
+            if all(_APART * box.width < frame.width / columns and box.height < frame.height / rows for box in boxes):
                 break
 
 

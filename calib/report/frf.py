@@ -73,8 +73,9 @@ def overlay_figure(overlays: Tables, functions: Tables, *, effects: str = "") ->
         if k >= len(chosen) - columns:
             phase.set_xlabel("frequency (Hz)")
         if k < columns:
-            # Room for the legend, which would widen its column, and which takes two lines for three stages.
-            amplitude.set_title(" " if len(overlays) < 3 else " \n ")
+            # Room for the legend, which would widen its column: two lines for three stages, in a column one for each.
+            lines = 1 + len(overlays) if style.in_column() else 1 if len(overlays) < 3 else 2
+            amplitude.set_title("\n".join(" " * lines))
         if k == 0:
             style.legend_above(amplitude)
             amplitude.get_legend().set_in_layout(False)  # type: ignore[union-attr]

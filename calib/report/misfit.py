@@ -20,6 +20,7 @@ from calib.report.explanation import blank
 from calib.report.numbers import fixed, flag, p_in_words, short, significant, with_unit
 from calib.report.rows import name_rows, row_edges, rows_height
 from calib.report.svg import hover, hover_cells, hover_points
+from calib.results.answer import in_prose
 
 KINDS = ("frequency", "damping", "shape")
 FITS = ("base", "explained", "attempt")
@@ -187,7 +188,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
         shift = rows["standardised"].to_numpy(dtype=float)
         is_attempt = attempt and model != "base"
         stage = "base" if model == "base" else "attempt" if is_attempt else "explained"
-        label = style.added(stage, "" if model == "base" else model)
+        label = style.added(stage, "" if model == "base" else in_prose(model))
         looks: dict[str, Any] = (
             {"color": style.GREY, "markerfacecolor": "white"} if is_attempt else {"color": _COLOURS[k % len(_COLOURS)]}
         )
@@ -219,7 +220,7 @@ def draw_pulls(table: pd.DataFrame, ax: Axes | None = None, *, attempt: bool = F
     ax.grid(axis="x")
     left = f"; {len(every) - len(names)} parameters with smaller shifts are left out" if len(names) < len(every) else ""
     label = f"shift from the nominal value over its expected deviation,\nthat in a correct model (–){left}"
-    words = " → ".join(["nominal", *("base" if model == "base" else f"with {model}" for model in models)])
+    words = " → ".join(["nominal", *("base" if model == "base" else f"with {in_prose(model)}" for model in models)])
     if style.in_column():
         label += f"\nvalues: {words}"
     else:
@@ -260,6 +261,8 @@ LOOKS = {
     "modulus": ("*", style.BLACK), "mass": ("h", style.GREY), "phase": ("<", style.GREEN),
 }  # fmt: skip
 """Marker and colour of every kind of fault; others are grey dots."""
+_SAID = {"place": "position"}
+"""Kinds of fault whose word in a legend is another."""
 WHOLE = "whole test"
 """Label of the faults that concern no single sensor."""
 MOST = 30
@@ -299,7 +302,14 @@ def draw_suspects(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         marker, colour = LOOKS.get(str(kind), ("o", style.GREY))
         heights = [place[name] for name in own["at"]]
         dots = ax.scatter(
-            own["score"], heights, s=22, marker=marker, c=colour, label=str(kind), gid=str(kind), zorder=3
+            own["score"],
+            heights,
+            s=22,
+            marker=marker,
+            c=colour,
+            label=_SAID.get(str(kind), str(kind)),
+            gid=str(kind),
+            zorder=3,
         )
         hover(dots, *(_words(r) for r in own.to_dict("records")))
     blamed = rows[[flag(b) for b in rows["blamed"]]]

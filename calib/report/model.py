@@ -134,7 +134,7 @@ def model_figure(mesh: MeshTables, sensors: pd.DataFrame | None = None, forces: 
     foot, abreast = max(scene.FOOT, 0.4 + 0.2 * math.ceil(len(handles) / _ABREAST)), _ABREAST
     if in_column():
         foot, abreast = scene.FOOT + 0.2 * len(handles), 1
-    figure = scene.new_scene(min(figure_width() * high / wide, 6.0) + foot, foot)
+    figure = scene.new_scene(min(figure_width() * high / wide, 6.0) + scene.over_strip(2 * scene.HEADING) + foot, foot)
     draw_model(mesh, sensors, figure.add_subplot(projection="3d"), forces)
     scene.legend_in_foot(figure, handles, abreast, 0.34)
     scene.show_axes(figure)

@@ -166,13 +166,15 @@ def model_modes_figure(modes: pd.DataFrame, deflection: pd.DataFrame, mesh: Mesh
         scale = min(scene.motion_scale(rest[k], motion[np.concatenate(seen)], thickness(mesh)) for k in seen)
         within = cell.subgridspec(1, len(looks))
         for k, chosen in enumerate(looks):
-            ax = draw_model_mode(
+            draw_model_mode(
                 rows, mesh, figure.add_subplot(within[0, k], projection="3d"), chosen=chosen, scale=scale
             )  # fmt: skip
             if len(looks) > 1:
                 middle = (rest[seen[k], axis].min() + rest[seen[k], axis].max()) / 2
                 words = f"at {'xyz'[axis]} = {middle:.1f} m".replace("-", "−")
-                _write_over(ax, words, -24.0 if in_column() else -13.0)
+                over = figure.add_subplot(within[0, k], label="place")  # a panel in space is a square in its cell
+                over.set_axis_off()
+                _write_over(over, words, *((-24.0, 7.5) if in_column() else (-13.0, 8.5)))
         _write_title(figure, cell, row)
     scene.show_axes(figure)
     scene.write_size(figure, all_seen)
@@ -202,9 +204,9 @@ def _write_title(figure: Figure, cell: SubplotSpec, row: dict[Hashable, Any]) ->
     _write_over(ax, words)
 
 
-def _write_over(ax: Axes, words: str, shift: float = 0.0) -> None:
-    """Write at the top of a panel, shifted by so many points."""
+def _write_over(ax: Axes, words: str, shift: float = 0.0, size: float = 8.5) -> None:
+    """Write at the top of a panel, shifted by so many points, in that size."""
     ax.annotate(
         words, (0.5, 1.0), xycoords="axes fraction", xytext=(0.0, shift), textcoords="offset points", ha="center",
-        va="top", fontsize=8.5, annotation_clip=False,
+        va="top", fontsize=size, annotation_clip=False,
     )  # fmt: skip

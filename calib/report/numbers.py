@@ -6,6 +6,8 @@ import math
 from collections.abc import Hashable, Mapping, Sequence
 from typing import Any
 
+from calib.results.answer import signed
+
 UNKNOWN = "–"
 
 
@@ -16,7 +18,7 @@ def fixed(value: float, digits: int, sign: bool = False) -> str:
     if math.isinf(value):
         return "∞" if value > 0 else "−∞"
     value = round(value, digits) + 0.0  # no negative zero
-    words = f"{value:+.{digits}f}" if sign else f"{value:.{digits}f}"
+    words = signed(value, digits) if sign else f"{value:.{digits}f}"
     return words.replace("-", "−")
 
 
@@ -64,7 +66,7 @@ def p_in_words(p: float) -> str:
     """Format a probability."""
     if p is None or math.isnan(p):
         return UNKNOWN
-    return "< 0.001" if p < 1e-3 else f"{p:.2g}"
+    return "< 0.001" if p < 1e-3 else "> 0.99" if p > 0.99 else f"{p:.2g}"
 
 
 def probability(share: float) -> str:
@@ -92,7 +94,7 @@ def yes(value: Any, words: tuple[str, str] = ("yes", "no")) -> str:
 
 
 def place(coordinates: Sequence[float]) -> str:
-    """Format x, y, z in m as ``(+1.11, +0.62, −0.43)``; a dash where one is unknown.
+    """Format x, y, z in m as ``(+1.11, 0.00, −0.43)``; a dash where one is unknown.
 
     Signs stand in any case: beside words such as left and front they say which way these point.
     """

@@ -89,7 +89,8 @@ def orthogonality_figure(cross: pd.DataFrame, own: pd.DataFrame) -> Figure:
     for ax, letter, what in zip(axes, "ab", ("to the model", "among themselves"), strict=True):
         ax.set_title(f"({letter}) {what}")
     bar_beside(axes, axes[0].images[0], _LABEL)
-    figure.legend(handles=[_frame()], loc="outside lower right")
+    if any(map(_fails, axes)):
+        figure.legend(handles=[_frame()], loc="outside lower right")
     return figure
 
 
@@ -125,8 +126,14 @@ def _draw(table: pd.DataFrame, heads: list[str], paired: np.ndarray, across: str
     hover_cells(ax, words)
     if key:
         bar_beside(ax, image, _LABEL)
+    if key and _fails(ax):
         legend_above(ax, [_frame()])
     return ax
+
+
+def _fails(ax: Axes) -> bool:
+    """Whether a cell is framed."""
+    return any(patch.get_gid() == "fails" for patch in ax.patches)
 
 
 def _frame() -> Artist:

@@ -15,6 +15,7 @@ from calib.report.numbers import fixed, significant, with_unit
 from calib.report.rows import name_rows, row_edges, rows_height
 from calib.report.style import BLACK, BLUE, GREY, ORANGE, VERMILLION, in_column, legend_above, own_axes
 from calib.report.svg import hover, hover_points
+from calib.results.answer import with_std
 
 _PRIOR = "#E8E8E8"
 _INTERVAL = 1.96
@@ -87,7 +88,7 @@ def draw_parameters(
     texts, words, beside = list[str](), [], 1.05  # clear of the marks at the limits
     for row, (name, value) in enumerate(best.iterrows()):
         unit, width = str(value["unit"]), std[row]
-        text = f"{significant(value['value'])} ± {with_unit(width, unit, 2)}"
+        text = with_std(value["value"], width, "" if unit == "-" else f" {unit}").replace("-", "−")
         text = with_unit(value["value"], unit) if math.isnan(width) else text
         colour = GREY if known[row] is False else BLACK
         if not in_column():

@@ -42,6 +42,8 @@ _WORDS = {"spring": "spring", "damper": "damper", "mass": "lumped mass", "suppor
 DIRECTION = ["dx", "dy", "dz"]
 _SHORTEST = 0.4
 """Least length of a mark that is seen end on, over that of one across the view."""
+_APART = 0.45
+"""Of the length of a mark: distance of a damper from the spring at its place."""
 _TURNS = 36
 """Directions into which marks are turned, over half a turn."""
 _MOST_NUMBERS = 48
@@ -98,9 +100,10 @@ def draw_places(
             if len(some):
                 own = {**look, **small, **({"color": GREY, "alpha": 0.55} if still and form != "support" else {})}
                 own |= {"linestyle": "none", "gid": f"fixed {form}" if still else form, "zorder": 3 if still else 4}
-                for turned, alike in some.groupby(_turns(some)):
+                beside = _beside(some, table) if form == "damper" else np.zeros(len(some), dtype=bool)
+                for (turned, apart), alike in some.groupby([_turns(some), beside]):
                     at = scene.plot_coordinates(alike[scene.PLACE].to_numpy(dtype=float)).T
-                    ax.plot(*at, **{**own, "marker": _marker(form, turned)})
+                    ax.plot(*at, **{**own, "marker": _marker(form, turned, _APART if apart else 0.0)})
     at = table[scene.PLACE].to_numpy(dtype=float)
     scene.frame_panel(ax, np.concatenate([rest[np.unique(parts.corners)], at]), title)
     scene.number_points(ax, at, _numbers(table, numbered_parameters(table) if keys is None else keys))
@@ -119,12 +122,18 @@ def _turns(table: pd.DataFrame) -> pd.Series:
     return pd.Series([(a, max(size, _SHORTEST) if size else 1.0) for a, size in stands], table.index, dtype=object)
 
 
-def _marker(form: str, stands: tuple[float, float]) -> MarkerStyle | str:
-    """The mark of a form as it stands, see `_turns`."""
+def _beside(dampers: pd.DataFrame, table: pd.DataFrame) -> np.ndarray:
+    """Which dampers have a spring at their place, (n,): they are drawn beside it."""
+    springs = set(map(tuple, table.loc[table["form"] == "spring", scene.PLACE].to_numpy(dtype=float).tolist()))
+    return np.array([tuple(at) in springs for at in dampers[scene.PLACE].to_numpy(dtype=float).tolist()])
+
+
+def _marker(form: str, stands: tuple[float, float], aside: float = 0.0) -> MarkerStyle | str:
+    """The mark of a form as it stands, see `_turns`, moved aside by that share of its length."""
     mark, (angle, length) = MARKS[form]["marker"], stands
     if isinstance(mark, str):
         return mark
-    return MarkerStyle(mark, transform=Affine2D().scale(1.0, length).rotate_deg(angle))
+    return MarkerStyle(mark, transform=Affine2D().scale(1.0, length).translate(aside, 0.0).rotate_deg(angle))
 
 
 def numbered_parameters(table: pd.DataFrame) -> dict[str, int]:

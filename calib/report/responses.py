@@ -133,7 +133,7 @@ def _bars(series: dict[str, tuple[str, pd.Series]], label: str, ax: Axes | None)
     if level:
         ax.axhline(0.0, color=BLACK, linewidth=0.8)
         ax.set_xticks(range(len(names)), names)
-        ax.set(xlim=ends, ylabel=label)
+        ax.set(xlim=ends, ylabel=label.replace(" (", "\n("))
     else:
         ax.axvline(0.0, color=BLACK, linewidth=0.8)
         ax.set_yticks(range(len(names)), names)

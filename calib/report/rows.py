@@ -42,13 +42,13 @@ def name_rows(ax: Axes, names: Sequence[str], values: Sequence[str] = ()) -> lis
         ax.set_yticks(range(len(names)), names)
         return list(ax.get_yticklabels())
     ax.set_yticks([])
-    where: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "va": "top"}
+    where: dict[str, Any] = {"xycoords": ax.get_yaxis_transform(), "textcoords": "offset points", "va": "bottom"}
     room: dict[str, Any] = {"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.3}
-    top, _ = row_edges(names)
+    _, mark = row_edges(names)
     looks = {"fontsize": 7.5, "zorder": 6, "in_layout": False, "bbox": room, **where}
     for row, words in enumerate(values):
-        ax.annotate(words, (1.0, row + top), xytext=(-1, -2), ha="right", **looks)
-    return [ax.annotate(name, (0.0, row + top), xytext=(3, -2), **looks) for row, name in enumerate(names)]
+        ax.annotate(words, (1.0, row - mark), xytext=(-1, 0), ha="right", **looks)
+    return [ax.annotate(name, (0.0, row - mark), xytext=(3, 0), **looks) for row, name in enumerate(names)]
 
 
 def run_on(left: Axes, right: Axes, rows: int) -> None:

@@ -94,7 +94,7 @@ def draw_sensitivity(
         colour = "white" if abs(shown[i, j]) > 0.65 else "black"
         text = f"{shown[i, j]:.2f}".replace("-", "−")
         # Of seven letters for five: no wider than the others.
-        words, own_size = (f"({text})", size * 5 / 7) if lent[i, j] else (text, size)
+        words, own_size = (f"({text.replace('0.', '.')})", 0.9 * size) if lent[i, j] else (text, size)
         ax.text(j, i, words, ha="center", va="center", fontsize=own_size, color=colour)
     names = [_kind(r)[1] for r in responses]
     ax.set_xticks(range(columns), names, rotation=90 if columns > 10 or max(map(len, names)) > 7 else 0)

@@ -75,6 +75,11 @@ NO_GLYPH = "boxes stand for characters that no font of this machine has"
 _POWER = re.compile(r"\$\\mathdefault\{[^$]*\}\$")
 """Tick label that Matplotlib itself writes at a logarithmic axis."""
 
+_TOGETHER = re.compile(
+    r" (?=[=≤≥<>±−] |\([–%σ]\))|(?<= [=≤≥<>±−]) |(?<=\d) (?=[%σ]|Hz\b)|(?<=\d,) (?=[+−]?\d)|(?<=\)) (?=m\b)"
+)
+"""Spaces within coordinates, or a number with what belongs to it, at which no line ends."""
+
 SETTINGS: Any = {
     "font.family": "DejaVu Sans",
     "font.size": 9,
@@ -167,9 +172,17 @@ class _PlainNumbers(LogFormatter):
         return f"{x:.3g}" if super().__call__(x, pos) else ""
 
 
+def fill(words: str, letters: int, **looks: Any) -> str:
+    """Break words into lines of so many letters; a number keeps its sign of relation, its unit and its ``(–)``."""
+    whole = _TOGETHER.sub("\xa0", words)
+    if max(map(len, whole.replace("\n", " ").split(" "))) > letters:
+        whole = words
+    return textwrap.fill(whole, letters, **looks).replace("\xa0", " ")
+
+
 def broken(label: str, letters: int = 36) -> str:
     """A label of a legend, broken where it is too long: after so many letters in a column."""
-    return textwrap.fill(label, letters if in_column() else 96)
+    return fill(label, letters if in_column() else 96)
 
 
 def legend_above(ax: Axes, handles: list[Artist] | None = None) -> None:

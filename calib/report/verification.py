@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from typing import Any
 
@@ -53,6 +54,8 @@ _RANGE = 20.0
 _SHOWN = 10
 _WORDS = 30.0
 """Height in points of the two lines of an error and the gap to its dot."""
+_UPRIGHT = 65.0
+"""The same of upright words."""
 
 
 def draw_errors(table: pd.DataFrame, ax: Axes | None = None, *, name: str = "") -> Axes:
@@ -126,12 +129,14 @@ def _write_errors(ax: Axes, x: np.ndarray, rms: np.ndarray, expected: np.ndarray
             own, line = (float(ax.transData.transform((at, v))[1]) for v in (r, e if np.isfinite(e) else r))
             foot = float(ax.transAxes.transform((0.0, 0.0))[1])
             below, above = ((one - two) * 72.0 / ax.figure.dpi for one, two in ((own, foot), (line, own)))
-            crossed, words, upright = 0.0 < above < _WORDS, _error_words(r, q), style.in_column()
+            words, upright = _error_words(r, q), style.in_column()
+            crossed = 0.0 < above < (_UPRIGHT if upright else _WORDS)
             down = crossed and below > _WORDS and not upright
             ax.annotate(
                 words.replace("\n", ", ") if upright else words,
                 (at, e if crossed and not down else r), xytext=(0, -7 if down else 7), textcoords="offset points",
                 ha="center", va="top" if down else "bottom", fontsize=7.5, rotation=90 if upright else 0,
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.8, "pad": 0.3},
             )  # fmt: skip
 
 
@@ -269,12 +274,12 @@ def draw_next_measurement(
     known = np.append(known, [start, 2.0 if measure == "gain" else LEAST_BAYES_FACTOR])
     span = float(known.max() - known.min())
     ax.set_xlim(known.min() - 0.02 * span, known.max() + 0.24 * span)
+    ranges = "lines: 8 of 10 cases; " if (high[wide] > low[wide]).any() else ""
     if measure == "ln_bayes":
         ax.axvline(LEAST_BAYES_FACTOR, color=style.BLACK, linestyle="--", linewidth=1.0, gid="threshold")
-        limits = f"lines: 8 of 10 cases; dashed: {LEAST_BAYES_FACTOR:g}"
-        ax.set_xlabel(f"expected log Bayes factor of the\ntrue effect (–; {limits})")
+        ax.set_xlabel(f"expected log Bayes factor of the\ntrue effect (–; {ranges}dashed: {LEAST_BAYES_FACTOR:g})")
     else:
-        ax.set_xlabel("expected gain in the score z of the effect\n(–; lines: 8 of 10 cases; 1: no gain)")
+        ax.set_xlabel(f"expected gain in the score z of the effect\n(–; {ranges}1: no gain)")
     names = _measurement_labels(rows)
     top, _ = row_edges(names)
     for name in name_rows(ax, names):
@@ -331,7 +336,8 @@ def _scale(ax: Axes, table: pd.DataFrame, room: float) -> None:
 def _error_words(rms: float, p: float) -> str:
     if np.isnan(rms):
         return ""
-    chance = "" if np.isnan(p) else "\np < 0.001" if p < 1e-3 else f"\np = {p:.2g}"
+    words = p_in_words(p)
+    chance = "" if np.isnan(p) else f"\np {words}" if words[0] in "<>" else f"\np = {words}"
     return f"{fixed(rms, 2) if rms < 10 else short(rms)}{chance}"
 
 
@@ -343,8 +349,14 @@ def _kind_handles(rows: pd.DataFrame) -> list[Artist]:
 def _measurement_labels(rows: pd.DataFrame) -> list[str]:
     named = zip(rows["measurement"], rows["effect"].fillna(""), strict=True)
     return [
-        textwrap.fill(f"{name} (for {in_prose(str(effect))})" if effect else str(name), 52) for name, effect in named
+        style.fill(f"{_true_minus(name)} (for {in_prose(str(effect))})" if effect else _true_minus(name), 52)
+        for name, effect in named
     ]
+
+
+def _true_minus(words: object) -> str:
+    """The name of a measurement with the signs of its coordinates."""
+    return re.sub(r"(?<=[( ])-(?=\d)", "−", str(words))
 
 
 def _next_height(rows: pd.DataFrame) -> float:

@@ -308,7 +308,7 @@ def _everything(rest: np.ndarray, placed: pd.DataFrame) -> np.ndarray:
 def _in_words(number: int, row: dict[Hashable, Any]) -> str:
     """Name, kind, score, unabsorbed fraction and place of a perturbation, on as many lines as needed."""
     name = textwrap.fill(f"{number}  {row['perturbation']}", 46, subsequent_indent="     ")
-    facts = f"{row['kind']}, z = {row['score']:+.1f}, γ = {row.get('unabsorbed', math.nan):.2f}"
+    facts = f"{row['kind']}, z = {fixed(row['score'], 1, sign=True)}, γ = {row.get('unabsorbed', math.nan):.2f}"
     at = place_of([float(row[axis]) for axis in scene.PLACE])
     return f"{name}\n     {facts.replace('-', '−')}\n     x, y, z = {at} m"
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import textwrap
 from collections.abc import Sequence
 from typing import Any
 
@@ -17,7 +16,7 @@ from matplotlib.patches import Patch
 
 from calib.report.numbers import counted, fixed, percent, significant, with_unit
 from calib.report.scene import new_scene
-from calib.report.style import AFTER, BLACK, DENSE, GREY, WITH, figure_width, in_column, legend_above, own_axes
+from calib.report.style import AFTER, BLACK, DENSE, GREY, WITH, figure_width, fill, in_column, legend_above, own_axes
 from calib.report.svg import hover, hover_points
 from calib.results.answer import in_prose
 
@@ -268,8 +267,14 @@ def _dots(parts: pd.Series[str], attempt: bool) -> list[Artist]:
     """What stands in the panels of shapes and FRFs: the diagonal, and open dots where there are imaginary parts."""
     out: list[Artist] = [Line2D([], [], color=BLACK, linewidth=0.9, linestyle="--", label="equal")]
     if (parts == "im").any():
-        look: dict[str, Any] = {"color": GREY if attempt else WITH, "markerfacecolor": "white", "markersize": 3.6}
-        out.append(Line2D([], [], linestyle="none", marker="o", label="imaginary", **look))
+        look: dict[str, Any] = {
+            "linestyle": "none",
+            "marker": "o",
+            "color": GREY if attempt else WITH,
+            "markersize": 3.6,
+        }
+        out += [Line2D([], [], label="real", **look)] if (parts == "re").any() else []
+        out.append(Line2D([], [], label="imaginary", **{**look, "markerfacecolor": "white"}))
     return out
 
 
@@ -309,7 +314,7 @@ def change_words(name: str, effects: pd.DataFrame | None, attempt: bool) -> str:
 
 def wrapped(sentences: Sequence[str]) -> str:
     """Lines over a panel that is as wide as the figure."""
-    return "\n".join(textwrap.fill(line, 54 if in_column() else 112, subsequent_indent="    ") for line in sentences)
+    return "\n".join(fill(line, 54 if in_column() else 112, subsequent_indent="    ") for line in sentences)
 
 
 def _heading(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 
@@ -44,6 +45,25 @@ class Answer:
 def hertz(*freqs: float) -> str:
     """Frequencies in a sentence, to three digits and without an exponent, such as ``1230 Hz`` or ``3 and 1230 Hz``."""
     return f"{names_in_words([format(float(format(freq, '.3g')), '.12g') for freq in freqs])} Hz"
+
+
+def signed(value: float, digits: int) -> str:
+    """A number with its sign and so many digits after the point; without a sign where it rounds to zero."""
+    words = f"{value:+.{digits}f}"
+    return words[1:] if float(words) == 0 else words
+
+
+def with_std(value: float, std: float, unit: str = "") -> str:
+    """A value with its standard deviation, to the same decimal and without an exponent, such as ``90.7 ± 1.5 kg``."""
+    if not (math.isfinite(std) and std > 0):
+        return f"{value:.5g} ± {std:.2g}{unit}"
+    spread = float(f"{std:.1e}")
+    digits = 1 - math.floor(math.log10(spread))
+    size = math.floor(math.log10(max(abs(value), spread)))
+    if not (-4 <= size < 9 and digits <= 8):
+        return f"{value:.5g} ± {std:.2g}{unit}"
+    words = [f"{round(number, digits) + 0.0:.{max(0, digits)}f}" for number in (value, spread)]
+    return f"{words[0]} ± {words[1]}{unit}"
 
 
 def in_prose(name: str) -> str:

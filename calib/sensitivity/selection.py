@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from calib.errors.errors import InputError
+from calib.results.answer import signed
 from calib.results.table import read_table
 from calib.sensitivity.induced import Decomposition, decompose, input_correlation
 from calib.sensitivity.partial import orthonormal, partial, partial_noise_floor, table_arrays
@@ -309,7 +310,7 @@ def _peak(values: pd.Series[float], wanted: pd.Series[bool], only: bool = False)
 
 
 def _signed(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "−")
+    return signed(value, 2).replace("-", "−")
 
 
 def selected_in(path: Path) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -84,7 +84,7 @@ def test_each_of_several_effects_has_a_line_with_its_own_size_within_the_figure(
     star = figure.legends[0].get_texts()[0].get_text().splitlines()
     assert star[:3] == [f"{name}, {sizes[name]}," for name in what]
     assert found.marks("unit")["star"].splitlines()[1:] == [
-        "at (+3.00, +0.00, +0.00) and (+3.00, +0.00, +2.00) m,", "as the list of causes assumes"
+        "at (+3.00, 0.00, 0.00) and (+3.00, 0.00, +2.00) m,", "as the list of causes assumes"
     ]  # fmt: skip
     many = replace(found, acts=np.vstack([found.acts, found.acts]))
     assert " m and 2 more places,\nas the list of causes assumes" in many.marks("unit")["star"]

@@ -8,7 +8,7 @@ from calib.report.comparison import draw_comac, draw_mac_matrix
 from calib.report.figures import fit_cells, is_legible, wrap_labels
 from calib.report.frequencies import draw_frequencies
 from calib.report.sensitivity import draw_sensitivity
-from calib.report.style import COLUMN, WIDTH, legend_above, new_figure, plain_ticks, style
+from calib.report.style import COLUMN, WIDTH, fill, legend_above, new_figure, plain_ticks, style
 
 
 def panel(width, draw):
@@ -72,6 +72,32 @@ def test_a_long_label_is_broken():
     figure = panel(COLUMN, lambda ax: ax.set_xlabel("a label that is too long for one of the two columns\nof a page"))
     wrap_labels(figure)
     assert is_legible(figure) and figure.axes[0].get_xlabel().replace("\n", " ").endswith("columns of a page")
+
+
+@pytest.mark.parametrize(
+    ("words", "letters", "lines"),
+    [
+        ("before calibration: mean |error| 10.43 %", 36, ["before calibration: mean |error|", "10.43 %"]),
+        ("after calibration: mean |error| 0.28 %", 36, ["after calibration: mean |error|", "0.28 %"]),
+        ("amplitude over the largest of the mode (–)", 40, ["amplitude over the largest of the", "mode (–)"]),
+        ("error of the frequency, model − measured (%)", 31, ["error of the frequency,", "model − measured (%)"]),
+        ("stiffness of the bush (ρ = −0.90)", 28, ["stiffness of the bush", "(ρ = −0.90)"]),
+        (
+            "at (+2.00, −0.20, 0.00) and (+2.00, +0.20, 0.00) m",
+            44,
+            ["at (+2.00, −0.20, 0.00) and", "(+2.00, +0.20, 0.00) m"],
+        ),
+        ("0.1 = 0.2 = 0.3", 5, ["0.1 =", "0.2 =", "0.3"]),
+    ],
+)
+def test_no_line_ends_within_a_number_and_what_belongs_to_it(words, letters, lines):
+    assert fill(words, letters).split("\n") == lines
+
+
+def test_a_label_higher_than_its_figure_is_not_legible():
+    label = "residual, measured − model (standard deviations)"
+    assert not is_legible(panel(WIDTH, lambda ax: ax.set_ylabel(label)))
+    assert is_legible(panel(WIDTH, lambda ax: ax.set_ylabel(label.replace(" (", "\n("))))
 
 
 def test_a_width_ends_with_its_context():

@@ -6,6 +6,7 @@ import pytest
 
 from calib.report.mesh import LINE, pieces, point_coordinates
 from calib.report.modes import AMPLITUDE, draw_model_mode, model_modes_figure, pages, views
+from calib.report.style import COLUMN, style
 
 
 def motion(hull, of_hull, of_bars):
@@ -61,6 +62,13 @@ def test_panels_name_mode_damped_frequency_and_damping(hull, model_modes):
     words = [t.get_text() for ax in figure.axes for t in ax.texts]
     assert {"1BT   6.12 Hz   damping 15.0 %", "2BT   9.88 Hz", "at x = 2.0 m", "at x = 18.0 m"} <= set(words)
     assert len([c for ax in figure.axes for c in ax.collections if c.get_gid() == "deformed"]) == 3
+    with style(COLUMN):
+        narrow = model_modes_figure(rows, pd.concat(tables), hull)
+    narrow.savefig(os.devnull, format="png")
+    (title,) = (t for ax in narrow.axes for t in ax.texts if t.get_text().startswith("2BT"))
+    for at in (t for ax in narrow.axes for t in ax.texts if t.get_text().startswith("at x")):
+        low = title.get_window_extent().y0 - at.get_window_extent().y1
+        assert 0 <= low < 0.1 * narrow.dpi and at.axes.name != "3d"
 
 
 @pytest.mark.parametrize(("count", "sizes"), [(0, []), (1, [1]), (8, [8]), (9, [5, 4]), (12, [6, 6]), (17, [6, 6, 5])])

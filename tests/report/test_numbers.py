@@ -16,6 +16,7 @@ from calib.report.numbers import (
     with_unit,
     yes,
 )
+from calib.results.answer import with_std
 
 
 @pytest.mark.parametrize(
@@ -25,6 +26,9 @@ from calib.report.numbers import (
         (-3.14159, 2, False, "−3.14"),
         (3.14159, 2, True, "+3.14"),
         (-0.001, 2, False, "0.00"),
+        (-0.03, 1, True, "0.0"),
+        (0.03, 1, True, "0.0"),
+        (-0.06, 1, True, "−0.1"),
         (math.nan, 2, False, "–"),
         (math.inf, 2, False, "∞"),
         (-math.inf, 2, True, "−∞"),
@@ -55,8 +59,30 @@ def test_significant(value, digits, words):
 def test_units_fractions_and_probabilities():
     assert percent(0.12345, 1, sign=True) == "+12.3"
     assert with_unit(63.5652, "kg") == "63.6 kg" and with_unit(0.5, "-") == "0.500" and with_unit(math.nan, "kg") == "–"
-    assert p_in_words(1e-9) == "< 0.001" and p_in_words(0.0371) == "0.037" and p_in_words(math.nan) == "–"
+    assert (
+        p_in_words(1e-9) == "< 0.001"
+        and p_in_words(0.0371) == "0.037"
+        and p_in_words(0.9999) == "> 0.99"
+        and p_in_words(math.nan) == "–"
+    )
     assert counted(1, "mode") == "1 mode" and counted(0, "mode") == "0 modes"
+
+
+@pytest.mark.parametrize(
+    ("value", "std", "words"),
+    [
+        (705.31, 80.2, "705 ± 80 kN/m"),
+        (25250.0, 14300.0, "25000 ± 14000 kN/m"),
+        (10.0, 0.0901, "10.000 ± 0.090 kN/m"),
+        (90.6, 83.4, "91 ± 83 kN/m"),
+        (-0.0004, 0.0996, "0.00 ± 0.10 kN/m"),
+        (0.0067871, 2.5e-4, "0.00679 ± 0.00025 kN/m"),
+        (3.2e-9, 1e-10, "3.2e-09 ± 1e-10 kN/m"),
+        (7.0, math.inf, "7 ± inf kN/m"),
+    ],
+)
+def test_a_value_ends_at_the_decimal_of_its_standard_deviation(value, std, words):
+    assert with_std(value, std, " kN/m") == words
 
 
 def test_unknown_flags_are_no_and_are_shown_as_unknown():
@@ -81,7 +107,7 @@ def test_a_number_in_a_figure_has_neither_zeros_at_its_end_nor_an_exponent(value
 
 
 def test_places_have_signs_and_their_number():
-    assert place((1.114, -0.625, -0.001)) == "(+1.11, −0.62, +0.00)"
+    assert place((1.114, -0.625, -0.001)) == "(+1.11, −0.62, 0.00)"
     assert place((1.0, math.nan, 0.0)) == "–"
     corners = [(1.0, 0.0, 2.0), (-1.0, 0.0, 2.0), (1.0, 0.0, -2.0)]
     assert places(corners, 3, "; ") == "; ".join(map(place, corners))

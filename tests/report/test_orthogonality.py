@@ -43,6 +43,8 @@ def test_the_figure_holds_both_beside_each_other_and_large_ones_below(cross, own
     many = [f"M{k}" for k in range(12)]
     large = pd.DataFrame(np.eye(12), columns=many).assign(mode=many)
     big = orthogonality_figure(cross, large)
+    whole = pd.DataFrame(np.eye(2), columns=["M0", "M1"]).assign(mode=["M0", "M1"])
+    assert not draw_self_orthogonality(whole).get_legend() and len(draw_self_orthogonality(own).get_legend().texts) == 1
     for found, beside in ((figure, True), (big, False)):
         (a, b) = (ax.get_subplotspec() for ax in found.axes[:2])
         assert (a.colspan != b.colspan) == beside and (a.rowspan != b.rowspan) != beside

@@ -93,6 +93,17 @@ def test_the_key_counts_the_pieces_of_every_parameter(mesh, table):
     assert key == "1  K of rod: 3 springs, mass of 1 part"
 
 
+def test_a_damper_stands_beside_the_spring_at_its_place(mesh, table):
+    def damper(table):
+        (line,) = (line for line in draw_places(mesh, table).lines if line.get_gid() == "damper")
+        return line._marker.get_transform().transform([(0.0, 0.0)])[0]
+
+    spring, own = (table.index[table["form"] == form][0] for form in ("spring", "damper"))
+    together = table.copy()
+    together.loc[own, PLACE] = table.loc[spring, PLACE]
+    assert np.linalg.norm(damper(table)) < 1e-9 < 0.3 < np.linalg.norm(damper(together))
+
+
 def test_marks_stand_in_the_direction_of_springs(mesh, table):
     ways = {"rod left": (1.0, 0.0, 0.0), "rod right": (0.0, 1.0, 0.0), "damper": (0.0, 0.0, 1.0)}
     turned = table.assign(

@@ -24,7 +24,7 @@ def test_both_stages_have_bars_values_and_percent_in_one_chart():
     heights = [[bar.get_height() for bar in bars] for bars in ax.containers]
     np.testing.assert_allclose(heights, [[5.0, -12.5], [0.2, 0.0]], atol=1e-12)
     words = [text.get_text().split("\n") for text in ax.texts]
-    assert words == [["1.100", "+10.0 %"], ["1.500", "−25.0 %"], ["1.004", "+0.4 %"], ["2", "+0.0 %"]]
+    assert words == [["1.100", "+10.0 %"], ["1.500", "−25.0 %"], ["1.004", "+0.4 %"], ["2", "0.0 %"]]
     assert [label.get_text() for label in ax.get_xticklabels()] == ["load\nmeasured 1", "lift\nmeasured 2"]
 
 

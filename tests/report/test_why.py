@@ -240,5 +240,5 @@ def test_open_dots_of_imaginary_parts_are_in_the_legend(table):
         return dict(zip([t.get_text() for t in found.get_texts()], found.legend_handles, strict=True))
 
     complex_ = legend(table)
-    assert complex_["imaginary"].get_markerfacecolor() == "white"
+    assert complex_["imaginary"].get_markerfacecolor() == "white" != complex_["real"].get_markerfacecolor()
     assert "imaginary" not in legend(table[table["part"] != "im"])

@@ -14,7 +14,7 @@ from calib.analyses.intervals import Intervals
 from calib.analyses.pareto import FRONT, Pareto, in_words
 from calib.analyses.robustness import Robustness
 from calib.api.entries.compared import failed_entries, held_out, more_on_pairs, pair_entries
-from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals
+from calib.api.entries.entry import Entry, Rows, Warned, Words, count, decimals, off
 from calib.problem.parameter import unit_words
 from calib.study.several import AnyStudy
 
@@ -216,7 +216,7 @@ def _changes(result: Calibration) -> Iterator[Rows]:
             (
                 _named(r, "mode"),
                 *(decimals(r[f"freq_{stage}"], 3) for stage in ("measured", *stages)),
-                *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in stages),
+                *(off(r[f"error_{s}"]) for s in stages),
                 *(decimals(r[f"mac_{stage}"], 3) for stage in stages),
             )
             for r in result.modes.to_dict("records")
@@ -232,7 +232,7 @@ def _changes(result: Calibration) -> Iterator[Rows]:
             (
                 _named(r, "response"),
                 *(f"{r[stage]:.6g}" for stage in ("measured", "before", "after")),
-                *("" if pd.isna(r[f"error_{s}"]) else f"{100 * r[f'error_{s}']:+.2f} %" for s in ("before", "after")),
+                *(off(r[f"error_{s}"]) for s in ("before", "after")),
             )
             for r in result.responses.to_dict("records")
         ]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import pandas as pd
 
 from calib.analyses.provenance.record import assumptions_table, check_repeats
-from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals
+from calib.api.entries.entry import Entry, Rows, Warned, When, Words, count, decimals, off
 from calib.measurement.places import Doubt
 from calib.problem.parameter import unit_words
 from calib.results.results import Results
@@ -64,7 +64,7 @@ def undamped_entries(result: ComparisonResult) -> list[Entry]:
     rows = [
         (
             r["mode"], f"{r['natural_freq_measured']:.3f}", f"{r['undamped_freq_model']:.3f}",
-            f"{100 * r['undamped_error']:+.2f} %", f"{r['natural_freq_model']:.3f}", f"{r['damped_freq_model']:.3f}",
+            off(r["undamped_error"]), f"{r['natural_freq_model']:.3f}", f"{r['damped_freq_model']:.3f}",
             decimals(r["alike"], 3),
         )
         for r in result.undamped.to_dict("records")
@@ -79,9 +79,7 @@ def pair_entries(result: ComparisonResult, title: str = "", when: When = "always
     if result.frfs is not None:
         return _functions(table, title, when)
     if result.comparison is None:
-        responses = [
-            (r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", f"{100 * r['error']:+.2f} %") for r in table
-        ]
+        responses = [(r["response"], f"{r['measured']:.6g}", f"{r['model']:.6g}", off(r["error"])) for r in table]
         return Rows.of(title, ("response", "measured", "model", "error"), responses, when=when)
     rows = []
     for r in table:
@@ -92,7 +90,7 @@ def pair_entries(result: ComparisonResult, title: str = "", when: When = "always
                 str(r["model_mode"]) if paired else "",
                 f"{r['natural_freq_measured']:.3f}",
                 f"{r['natural_freq_model']:.3f}" if paired else "not paired",
-                f"{100 * r['freq_error']:+.2f} %" if paired else "",
+                off(r["freq_error"]) if paired else "",
                 *(decimals(100 * r[name], 2) for name in ("damping_ratio_measured", "damping_ratio_model")),
                 decimals(r["mac"], 3),
             )

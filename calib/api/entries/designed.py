@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from calib.analyses.designs import Designs
-from calib.api.entries.entry import Entry, Rows, Words, decimals
+from calib.api.entries.entry import Entry, Rows, Words, decimals, off
 from calib.problem.parameter import unit_words
 
 _HEADS = ("rank", "design", "case", "generation", "objective", "mean error", "mean MAC")
@@ -59,7 +59,7 @@ def _one(found: Designs, design: int) -> list[Entry]:
     (row,) = found.table[found.table["design"] == design].to_dict("records")
     parameters = [(p.name, f"{values[p.name]:.6g}{unit_words(p.unit)}") for p in found.space.free]
     errors = [
-        (str(name).removeprefix("error "), f"{100 * value:+.2f} %")
+        (str(name).removeprefix("error "), off(value))
         for name, value in row.items()
         if str(name).startswith("error ") and not pd.isna(value)
     ]

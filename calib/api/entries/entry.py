@@ -10,6 +10,8 @@ from html import escape
 from itertools import compress
 from typing import Literal, TypeAlias
 
+from calib.results.answer import signed
+
 MOST = 12
 """Rows of a table that are shown unless all are asked for."""
 WARNINGS = 4
@@ -196,3 +198,8 @@ def count(number: int, thing: str) -> str:
 def decimals(value: float, digits: int) -> str:
     """A number with the given number of decimals, never -0; empty for NaN."""
     return "" if math.isnan(value) else f"{value:z.{digits}f}"
+
+
+def off(share: float) -> str:
+    """An error in percent with its sign; empty for NaN."""
+    return "" if math.isnan(share) else f"{signed(100.0 * share, 2)} %"

@@ -44,8 +44,9 @@ def test_compared_modes_are_those_of_the_table(everything, read, stage, reader):
 
 
 def points(words):
-    """Points of a cell such as ``(+1.00, +0.50, −2.00), (+1.00, +0.50, +2.00)``; every number has its sign."""
-    numbers = re.findall(r"[+−]\d+\.\d\d", words)
+    """Points of a cell such as ``(+1.00, +0.50, −2.00), (+1.00, +0.50, +2.00)``; every number but 0.00 has its sign."""
+    numbers = re.findall(r"[+−]\d+\.\d\d|\b0\.00", words)
+    assert not {"+0.00", "−0.00"} & set(numbers)
     return np.array([float(n.replace("−", "-")) for n in numbers]).reshape(-1, 3)
 
 
