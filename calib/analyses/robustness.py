@@ -18,7 +18,7 @@ from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.recorded import recorded
 from calib.analyses.provenance.state import ROBUSTNESS, SAMPLES
-from calib.analyses.sensitivity import evaluated, table_of
+from calib.analyses.sensitivity import evaluated, response_units, table_of
 from calib.analyses.staged import required_calibration
 from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
@@ -144,7 +144,7 @@ def robustness_at(study: AnyStudy, values: Mapping[str, float], run: RobustnessR
         raise InputError(f"the model fails at all {failed} samples", place="robustness", remedy=remedy)
     if failed:
         notes.append(f"The model could not be evaluated at {failed} of {len(outcomes)} samples, which do not count.")
-    targets, units = objective_of(study).targets, _units(study, names)
+    targets, units = objective_of(study).targets, response_units(study, names)
     told = [*Responses.of(study).measured, *(name for name in names if not _of_pairing(name)), *limits]
     names = [name for name in dict.fromkeys(told) if name in names and (name in limits or responses[name].std() > 0)]
     repeated = responses[names].T.duplicated()  # such as damped frequencies without damping
@@ -162,17 +162,6 @@ def robustness_at(study: AnyStudy, values: Mapping[str, float], run: RobustnessR
 def _of_pairing(response: str) -> bool:
     """Whether a response tells how a model mode was paired."""
     return response.rpartition(": ")[2].startswith(("emac_", "margin_"))
-
-
-def _units(study: AnyStudy, names: Sequence[str]) -> dict[str, str]:
-    """Units of responses, where they are known."""
-    frequencies = ("natural_freq_", "damped_freq_")
-    out = {name: "Hz" for name in names if name.rpartition(": ")[2].startswith(frequencies)}
-    for one in study.studies:
-        stated = one.experiment.table()
-        if {"response", "unit"} <= set(stated.columns):
-            out |= {str(name): str(unit) for name, unit in zip(stated["response"], stated["unit"], strict=True) if unit}
-    return out
 
 
 def _row(

@@ -157,6 +157,18 @@ def runs_of(study: AnyStudy) -> Runs | None:
     return runs if isinstance(runs, Runs) else None
 
 
+def response_units(study: AnyStudy, names: Sequence[str]) -> dict[str, str]:
+    """Units of responses, where they are known: of frequencies, of a table of runs, and as measured."""
+    frequencies, runs = ("natural_freq_", "damped_freq_"), runs_of(study)
+    out = {name: "Hz" for name in names if name.rpartition(": ")[2].startswith(frequencies)}
+    out |= {} if runs is None else {name: unit for name, unit in runs.units.items() if name in names}
+    for one in study.studies:
+        stated = one.experiment.table()
+        if {"response", "unit"} <= set(stated.columns):
+            out |= {str(name): str(unit) for name, unit in zip(stated["response"], stated["unit"], strict=True) if unit}
+    return out
+
+
 def points_of_runs(study: AnyStudy) -> list[dict[str, float]]:
     """The runs of a table within the limits of the searches, as designs; none where not all inputs vary."""
     runs, space = runs_of(study), study.search_space

@@ -7,6 +7,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypedDict
 
+from calib.analyses.sensitivity import response_units
 from calib.api import steps
 from calib.api.display import FolderResult
 from calib.api.entries.designed import designs_entries
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from calib.analyses.designs import Designs
-    from calib.study.study_file import StudyFile
+    from calib.study.several import AnyStudy
 
 
 class DesignKeys(TypedDict, total=False):
@@ -71,7 +72,7 @@ def designs_result(study: Any, best: int, keys: DesignKeys) -> FolderResult:
 
 def draw_designs(
     found: Designs,
-    study: StudyFile,
+    study: AnyStudy,
     folder: Path,
     clouds: Sequence[tuple[str, str]],
     parallel: int,
@@ -83,7 +84,7 @@ def draw_designs(
     Parameters
     ----------
     found : Designs
-    study : StudyFile
+    study : AnyStudy
     folder : Path
         Where ``anthill_*.png`` and ``designs_*.png`` go.
     clouds : sequence of (str, str)
@@ -107,7 +108,8 @@ def draw_designs(
     if unknown := [name for name in pictures if name not in PICTURES]:
         raise InputError(f"unknown picture {unknown[0]!r}", place="designs, draw", remedy=f"use {', '.join(PICTURES)}")
     inputs, space = list(found.space.free_names), found.space
-    labels = {p.name: f"{p.name}, {p.unit}" for p in space.parameters if p.unit not in ("", "-")}
+    units = {**response_units(study, found.outputs), **{p.name: p.unit for p in space.parameters}}
+    labels = {name: f"{name}, {unit}" for name, unit in units.items() if unit not in ("", "-")}
     looks: dict[str, Any] = {"labels": labels, "log": [p.name for p in space.parameters if p.is_log]}
     figures: list[tuple[str, Callable[[], Any]]] = [
         (f"anthill_{file_name(x)}_{file_name(y)}", partial(draw_anthill, found.table, x, y, **looks)) for x, y in clouds

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,12 +10,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from calib.analyses.sensitivity import Sensitivity
+from calib.analyses.sensitivity import Sensitivity, response_units
 from calib.api.figures import file_name, write_named
 from calib.errors.errors import InputError
 from calib.report.metamodel import CELLS, draw_residuals, surface_figure
 from calib.report.style import owner_of, save, style
 from calib.sensitivity.prognosis import Metamodel
+from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 
 if TYPE_CHECKING:
@@ -46,26 +47,34 @@ def draw_metamodels(
     if not isinstance(found, Sensitivity):
         raise InputError("it has no metamodels", place=f"method {found.method}", remedy="use the method 'ranks'")
     title, own = f"{study.settings.title}: metamodel", found.prognosis
-    drawn = [(f"residuals_{file_name(r)}", partial(_figure, own[r], found.sampled, None)) for r in residuals]
+    units = response_units(study, [one.response for one in own.models])
+    drawn = [(f"residuals_{file_name(r)}", partial(_figure, own[r], found.sampled, None, units)) for r in residuals]
     for r, x, y in surfaces:
         drawn.append(
-            (f"surface_{file_name(r)}_{file_name(x)}_{file_name(y)}", partial(_figure, own[r], found.sampled, (x, y)))
+            (
+                f"surface_{file_name(r)}_{file_name(x)}_{file_name(y)}",
+                partial(_figure, own[r], found.sampled, (x, y), units),
+            )
         )
     return write_named(drawn, title, study.synthetic, folder)
 
 
-def draw_metamodel(one: Metamodel, designs: pd.DataFrame, path: Path, inputs: tuple[str, str] | None) -> Path:
+def draw_metamodel(
+    one: Metamodel, study: AnyStudy, designs: pd.DataFrame, path: Path, inputs: tuple[str, str] | None
+) -> Path:
     """Draw one metamodel into a PNG file; see `draw_metamodels`."""
     with style():
-        (written,) = save(_figure(one, designs, inputs), path.with_suffix(""))
+        figure = _figure(one, designs, inputs, response_units(study, [one.response]))
+        (written,) = save(figure, path.with_suffix(""))
     return written
 
 
-def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | None) -> Figure:
+def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | None, units: Mapping[str, str]) -> Figure:
     if one.model is None:
         raise InputError(f"it has no metamodel ({one.kind})", place=f"response {one.response}")
     if inputs is None:
-        return owner_of(draw_residuals(pd.DataFrame({"true": one.true, "predicted": one.predicted}), one.response))
+        table, unit = pd.DataFrame({"true": one.true, "predicted": one.predicted}), units.get(one.response, "")
+        return owner_of(draw_residuals(table, one.response, unit=unit))
     names = one.space.free_names
     unknown = [name for name in inputs if name not in names]
     if unknown or inputs[0] == inputs[1]:
@@ -76,5 +85,6 @@ def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | Non
     points = np.tile([p.value for p in one.space.free], (CELLS**2, 1)).astype(float)
     points[:, names.index(inputs[0])], points[:, names.index(inputs[1])] = (a.ravel() for a in np.meshgrid(x, y))
     grid = pd.DataFrame({name: points[:, names.index(name)] for name in inputs}).assign(**{one.response: one(points)})
-    labels = {p.name: f"{p.name}, {p.unit}" for p in one.space.free if p.unit not in ("", "-")}
+    units = {**units, **{p.name: p.unit for p in one.space.free}}
+    labels = {name: f"{name}, {unit}" for name, unit in units.items() if unit not in ("", "-")}
     return surface_figure(grid, designs, *inputs, one.response, labels, [p.name for p in one.space.free if p.is_log])

@@ -99,7 +99,7 @@ class Assessed(Displayed):
         """
         from calib.api.metamodel_figures import draw_metamodel
 
-        return draw_metamodel(self.prognosis[response], self.samples, path_of(path, "path"), inputs)
+        return draw_metamodel(self.prognosis[response], self.study, self.samples, path_of(path, "path"), inputs)
 
     def refine(
         self, runs: int = 20, *, seed: int = 1, executor: Any = None, progress: bool = True

@@ -34,6 +34,8 @@ _DATA = {
 _STAR: dict[str, Any] = {"marker": "*", "color": VERMILLION, "markeredgecolor": BLACK, "markersize": 19}
 _DATA_ALONE: dict[str, Any] = {"marker": "D", "color": "none", "markeredgecolor": BLACK, "markersize": 9}
 _SHOWS_MOST: dict[str, Any] = {"marker": "o", "color": "none", "markeredgecolor": MEASURED, "markersize": 14}
+_UNDER, _AROUND = 0.03, 22
+"""Distance from a star, of the diagonal of the model, at which it would hide the diamond, and its size around it."""
 _LOOKS = {"star": _STAR, "diamond": _DATA_ALONE, "ring": _SHOWS_MOST}
 _IN_LEGEND = 11
 """Largest mark of the legend, points."""
@@ -216,7 +218,10 @@ def answer_figure(
     if found.sensor:
         _mark(ax, found.sensor_at[None], "shows", {**_SHOWS_MOST, "markeredgewidth": 2.0}, 5)
     if found.alone:
-        _mark(ax, found.alone_at[None], "alone", {**_DATA_ALONE, "markeredgewidth": 1.6}, 5)
+        apart = np.linalg.norm(found.acts - found.alone_at, axis=1).min(initial=np.inf)
+        under = apart < _UNDER * float(np.linalg.norm(np.ptp(points, axis=0)))
+        size = {"markersize": _AROUND} if under else {}
+        _mark(ax, found.alone_at[None], "alone", {**_DATA_ALONE, "markeredgewidth": 1.6, **size}, 5)
     if len(found.acts):
         _mark(ax, found.acts, "acts", _STAR, 6)
     named = [(found.sensor, found.sensor_at), (found.alone_sensor, found.alone_at)]
@@ -232,7 +237,8 @@ def answer_figure(
     handles = [Line2D([], [], linestyle="none", label=text, **_LOOKS[mark]) for mark, text in marks.items()]
     for handle in handles:
         handle.set_markersize(min(handle.get_markersize(), _IN_LEGEND))
-    handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
+    if sensors is not None and len(placed):
+        handles.append(Line2D([], [], linestyle="none", label="sensors", **_SENSOR))
     at = (0.1 / figure_width(), scene.FOOT / height) if narrow else (1.05 / figure_width(), 0.02)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=at, borderaxespad=0.0, labelspacing=0.7)
     scene.show_axes(figure)

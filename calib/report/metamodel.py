@@ -41,7 +41,7 @@ def draw_prognosis(total: pd.DataFrame, inputs: pd.DataFrame, ax: Axes | None = 
     return ax
 
 
-def draw_residuals(table: pd.DataFrame, response: str, ax: Axes | None = None) -> Axes:
+def draw_residuals(table: pd.DataFrame, response: str, ax: Axes | None = None, *, unit: str = "") -> Axes:
     """Draw the values of a response that its metamodel predicts by cross-validation against those of the model.
 
     Parameters
@@ -49,8 +49,9 @@ def draw_residuals(table: pd.DataFrame, response: str, ax: Axes | None = None) -
     table : DataFrame
         Columns ``true`` and ``predicted``: each design, predicted without its own fold.
     response : str
-        Its name, with its unit where it has one.
     ax : Axes, optional
+    unit : str
+        Of the response; empty where it is unknown.
     """
     true, predicted = (table[name].to_numpy(dtype=float) for name in ("true", "predicted"))
     ax = style.own_axes(ax, 4.2)
@@ -60,8 +61,9 @@ def draw_residuals(table: pd.DataFrame, response: str, ax: Axes | None = None) -
     missed = float(((true - predicted) ** 2).sum() / ((true - true.mean()) ** 2).sum())
     rms = float(np.sqrt(((true - predicted) ** 2).mean()))
     ax.set_title(f"{len(true)} designs; CoP {max(0.0, 1 - missed):.3f}, rms error {rms:.3g}", loc="left", fontsize=9)
-    ax.set_xlabel(f"{response}, model")
-    ax.set_ylabel(f"{response}, metamodel (cross-validated)")
+    after = f" ({unit})" if unit not in ("", "-") else ""
+    ax.set_xlabel(f"{response}, model{after}")
+    ax.set_ylabel(f"{response}, metamodel, cross-validated{after}")
     ax.grid(True)
     return ax
 

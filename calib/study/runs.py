@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import math
+import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -24,6 +26,10 @@ from calib.structure.function_model import FunctionModel
 from calib.structure.model import Assumption
 
 _EMPTY = "leave the cell of a failed run empty, or name the columns that are responses as 'outputs'"
+_NUMBER_OF_RUN = re.compile(
+    r"#|(design|run|sample|point|id|no|nr|number|index)s?[ _.-]*(id|no|nr|number|index)?\.?", re.I
+)
+"""Names of columns that number the runs, such as ``Design``, ``Run_No.`` or ``ID``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,12 +45,15 @@ class Runs:
         The inputs of the runs.
     values : DataFrame (n_runs, n_outputs)
         Their outputs; NaN where a run failed.
+    units : mapping from str to str
+        Of the outputs, as the second line of the table has them.
     """
 
     space: ParameterSpace
     prognosis: Prognosis
     points: pd.DataFrame
     values: pd.DataFrame
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __call__(self, values: Mapping[str, float]) -> dict[str, float]:
         """Predicted responses; EvaluationError outside the runs, where metamodels do not hold."""
@@ -95,7 +104,7 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         Columns that become parameters, free between their smallest and largest value, in the unit of the second line.
     outputs : sequence of str
         Columns, or entries of ``response``, that become responses; by default all others but those of words, such as
-        the status of each run.
+        the status of each run, and those that number the runs, such as ``Design``.
 
     Returns
     -------
@@ -129,10 +138,11 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
     found = ["response", "value"] if is_long else list(outputs or [name for name in header if name not in named])
     wanted = [*named, *found]
     rows = read_rows(path, [*wanted, *(name for name in header if name not in wanted)])
-    units = _units(rows[0]) if rows else None
+    units, numbers = _units(rows[0]) if rows else None, list[str]()
     rows = rows if units is None else rows[1:]
     if not outputs and not is_long:
-        found = [name for name in found if not _is_text(rows, name)]
+        numbers = [name for name in found if _numbers_runs(rows, name)]
+        found = [name for name in found if name not in numbers and not _is_text(rows, name)]
         wanted = [*named, *found]
     if not named or len(wanted) == len(named):
         raise InputError("it has no " + ("inputs" if not named else "outputs"), place=path,
@@ -151,11 +161,13 @@ def read_runs(path: str | Path, inputs: Sequence[str], outputs: Sequence[str] = 
         words = f"{known} runs that did not fail are too few for {len(named)} inputs"
         raise InputError(words, place=path, remedy=f"add runs, {least} at least, or name fewer inputs")
     space = ParameterSpace(tuple(_parameter(path, name, points[name], (units or {}).get(name, "")) for name in named))
-    runs = Runs(space, prognosis(space, points, values), points, values)
+    of_outputs = {} if is_long or units is None else {name: units[name] for name in found if units[name]}
+    runs = Runs(space, prognosis(space, points, values), points, values, of_outputs)
     # Which metamodels these are depends on what is installed: points that others predicted are not theirs.
     chosen = [(one.kind, one.inputs) for one in runs.prognosis.models]
     identity = digest_of("runs 1", named, found, points.to_numpy(), values.to_numpy(), PROGNOSIS, chosen)[:16]
-    return FunctionModel(path.stem, space, runs, (_error_of(path, runs),), (), identity, runs)
+    notes = (_error_of(path, runs), *(_numbering(path, name) for name in numbers))
+    return FunctionModel(path.stem, space, runs, notes, (), identity, runs)
 
 
 def _units(row: TableRow) -> dict[str, str] | None:
@@ -170,6 +182,21 @@ def _is_text(rows: Sequence[TableRow], name: str) -> bool:
     """Whether a column has words and no number, such as the status of each run."""
     cells = [(row.cells[name], row.comma) for row in rows if row.cells[name]]
     return bool(cells) and all(number_of(cell, comma) is None for cell, comma in cells)
+
+
+def _numbers_runs(rows: Sequence[TableRow], name: str) -> bool:
+    """Whether a column numbers the runs: 0 or 1, 2, 3 in order, or, by its name, other integers that differ."""
+    numbers = [number_of(row.cells[name], row.comma) for row in rows]
+    known = [int(n) for n in numbers if n is not None and math.isfinite(n) and n == int(n)]
+    if len(known) < len(rows) or not known:
+        return False
+    in_order = known[0] in (0, 1) and known == list(range(known[0], known[0] + len(known)))
+    return in_order or (bool(_NUMBER_OF_RUN.fullmatch(name.strip())) and len(set(known)) == len(known))
+
+
+def _numbering(path: Path, name: str) -> Assumption:
+    reason = "it numbers the runs, so that it is no response; name it among 'outputs' if it is one"
+    return Assumption(f"column {name} of {path.name}", "number of each run", "-", reason)
 
 
 def _by_run(

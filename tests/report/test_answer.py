@@ -73,6 +73,21 @@ def test_stars_stand_where_the_named_effect_acts_and_only_there(sensors, acts, p
     assert "unit, 64 kg" in words and "sensor 2y fits best, 1 m from the star" in words and "sensor 3y" in words
 
 
+def test_a_star_does_not_hide_the_diamond_and_the_legend_has_no_sensor_that_is_not_drawn(sensors, acts, pattern, local):
+    def drawn(local, shown):
+        found = answered_place(sensors, acts, pattern, local)
+        with style():
+            figure = answer_figure(REST, found, ["unit"], {}, shown)
+        (line,) = [line for line in figure.axes[0].lines if line.get_gid() == "alone"]
+        return line.get_markersize(), [text.get_text() for text in figure.legends[0].get_texts()]
+
+    apart, words = drawn(local, sensors)
+    assert apart < 19 and "sensors" in words
+    at_star = local.assign(x=3.0)
+    around, words = drawn(at_star, sensors.assign(x=np.nan))
+    assert around > 19 and "sensors" not in words
+
+
 def test_each_of_several_effects_has_a_line_with_its_own_size_within_the_figure(sensors, acts, pattern, local, errors):
     """Sizes come in the order of their evidence, which is another one."""
     what = ["mass of the crossbar", "soft mounts of the dampers", "uneven springs"]

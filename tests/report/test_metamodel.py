@@ -32,7 +32,9 @@ def test_predicted_values_stand_against_computed_ones():
     rng = np.random.default_rng(1)
     true = rng.normal(size=50)
     table = pd.DataFrame({"true": true, "predicted": true + 0.1 * rng.normal(size=50)})
-    ax = draw_residuals(table, "f1, Hz")
+    assert draw_residuals(table, "mac", unit="-").get_xlabel() == "mac, model"
+    ax = draw_residuals(table, "f1", unit="Hz")
+    assert ax.get_xlabel().endswith("(Hz)") and ax.get_ylabel().endswith("(Hz)")
     (points,) = [c for c in ax.collections if c.get_gid() == "designs"]
     np.testing.assert_allclose(points.get_offsets(), table)
     cop = 1 - ((table["true"] - table["predicted"]) ** 2).sum() / ((true - true.mean()) ** 2).sum()
@@ -45,7 +47,7 @@ def test_a_surface_is_that_of_its_grid():
     x, y = (a.ravel() for a in np.meshgrid(np.linspace(1, 2, 5), np.linspace(10, 30, 4)))
     grid = pd.DataFrame({"k": x, "m": y, "f1": x * y}).sample(frac=1.0, random_state=1)
     designs = pd.DataFrame({"k": [1.2, 1.8], "m": [11.0, 29.0]})
-    figure = surface_figure(grid, designs, "k", "m", "f1", {"k": "k, N/m"})
+    figure = surface_figure(grid, designs, "k", "m", "f1", {"k": "k, N/m", "f1": "f1, Hz"})
     flat, space = [ax for ax in figure.axes if ax.get_label() != "<colorbar>"]
     assert flat.get_xlabel() == space.get_xlabel() == "k, N/m" and flat.get_ylabel() == "m"
     (points,) = [c for c in flat.collections if c.get_gid() == "designs"]

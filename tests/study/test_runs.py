@@ -9,6 +9,8 @@ import pytest
 
 import calib
 from calib.analyses.compare import comparison_at
+from calib.analyses.sensitivity import response_units
+from calib.api.metamodel_figures import _figure
 from calib.problem.sampling import sample
 from calib.study import runs
 from calib.study.runs import read_runs
@@ -182,6 +184,39 @@ def test_what_is_no_table_of_runs_is_refused_in_one_sentence(tmp_path, change, i
 def test_a_column_of_words_is_no_response(tmp_path):
     found = table().assign(status=["failed", *["Succeeded"] * 59])
     assert list(read_runs(written(tmp_path, found, ""), ["k", "m"]).metamodels.values) == ["f1", "f2", "mass"]
+
+
+@pytest.mark.parametrize(
+    ("column", "numbers", "is_response"),
+    [
+        ("Design", range(1, 61), False),
+        ("Design", [7, *range(11, 70)], False),  # of a larger table
+        ("run_no.", range(160, 100, -1), False),
+        ("anything", range(60), False),
+        ("Design", [*range(59), 1], True),
+        ("Design", np.linspace(1.0, 2.0, 60), True),
+        ("revolutions", range(20, 80), True),
+    ],
+)
+def test_a_column_that_numbers_the_runs_is_no_response_and_that_is_told(tmp_path, column, numbers, is_response):
+    found = table()
+    found.insert(0, column, list(numbers))
+    file = written(tmp_path, found, f"{'-' if is_response else ''},kN/m,kg,Hz,Hz,kg")
+    model = read_runs(file, ["k", "m"])
+    assert (column in model.metamodels.values) == is_response
+    assert any(one.item == f"column {column} of runs.csv" for one in model.assumptions) != is_response
+    assert column in read_runs(file, ["k", "m"], [column, "f1"]).metamodels.values
+    assert model.metamodels.units == {"f1": "Hz", "f2": "Hz", "mass": "kg", **({column: "-"} if is_response else {})}
+
+
+@pytest.mark.medium
+def test_axes_of_responses_have_the_unit_of_the_table(tmp_path):
+    test = calib.ResponseTest(measured())
+    found = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], test).sensitivity()
+    units = response_units(found.study, ["f1", "mass"])
+    assert units == {"f1": "Hz", "mass": "kg"}
+    flat, bar, space = _figure(found.prognosis["f1"], found.samples, ("k", "m"), units).axes
+    assert (bar.get_ylabel(), space.get_title(), flat.get_xlabel()) == ("f1, Hz", "f1, Hz", "k, kN/m")
 
 
 def test_an_unknown_unit_is_refused(tmp_path):
