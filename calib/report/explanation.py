@@ -104,7 +104,7 @@ def draw_ranked_effects(table: pd.DataFrame, ax: Axes | None = None, *, legend: 
         known = span[np.isfinite(span)]
         if len(known) > 1:
             ax.plot([known.min(), known.max()], [row, row], color=style.BLACK, linewidth=1.1, gid="prior", zorder=3)
-        words = short(value) if math.isfinite(value) else "no value"
+        words = (short(value) if abs(value) >= 0.01 else "0") if math.isfinite(value) else "no value"
         # Beside its dot, but right of the threshold, which it would otherwise cover.
         end = max(0.0, *known) if len(known) else 0.0
         ax.annotate(

@@ -80,7 +80,7 @@ def draw_where_it_fails(
     image = ax.imshow(unlikely, cmap="OrRd", norm=Normalize(0.0, _MOST), aspect="auto", gid="unlikely")
     is_attempt = stage == "attempt"
     for i, j in np.ndindex(ratio.shape):
-        words = short(float(ratio[i, j]))
+        words = "< 0.001" if ratio[i, j] < 1e-3 else short(float(ratio[i, j]))
         colour = "white" if unlikely[i, j] > 0.6 * _MOST and not is_attempt else style.BLACK
         ax.text(j, i, words, ha="center", va="center", fontsize=8, color=colour)
     hover_cells(
@@ -94,7 +94,7 @@ def draw_where_it_fails(
         ],
     )
     ax.set_xticks(range(len(kinds)), kinds, rotation=90 if style.in_column() else 0)
-    ax.set_yticks(range(len(modes)), [str(mode) for mode in modes])
+    ax.set_yticks(range(len(modes)), [_row_name(table, str(mode)) for mode in modes])
     style.separate_cells(ax, len(modes), len(kinds))
     title = style.added(stage, name).replace(": ", ":\n")
     if style.in_column():
@@ -114,6 +114,12 @@ def draw_where_it_fails(
     if bar:
         _unlikely_bar(image, [ax])
     return ax
+
+
+def _row_name(table: pd.DataFrame, mode: str) -> str:
+    """A mode, or what a row without one holds: responses or FRFs, ``run 2: responses`` of one of several tests."""
+    only_frfs = set(table.loc[table["mode"] == mode, "kind"]) == {_WORDS["frf"]}
+    return f"{mode.removesuffix(_UNNAMED)}{_WORDS['frf']}" if only_frfs and mode.endswith(_UNNAMED) else mode
 
 
 def where_it_fails_figure(table: pd.DataFrame, *, name: str = "") -> Figure:

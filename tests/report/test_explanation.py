@@ -73,6 +73,7 @@ def test_effects_are_ranked_by_their_evidence(effects):
     np.testing.assert_array_equal([value(dot) for dot in dots(ax)], [40.0, 30.0, -0.5, -1.8, nan])
     assert ax.get_ylim()[0] > ax.get_ylim()[1]
     assert words(ax) == ["40", "30 implausible", "−0.5", "−1.8", "no value"]
+    assert "0" in words(draw_ranked_effects(effects.assign(ln_bayes=effects["ln_bayes"].replace(-0.5, -9e-4))))
 
 
 def test_colours_and_legend_show_the_status_of_every_effect(effects):

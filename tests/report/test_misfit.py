@@ -92,6 +92,16 @@ def test_responses_other_than_modes_are_not_called_modes(kinds):
     ax = draw_where_it_fails(pd.DataFrame(rows, columns=kinds.columns))
     assert ax.get_ylabel() == "" and draw_where_it_fails(kinds).get_ylabel() == "mode"
     assert [t.get_text() for t in ax.get_xticklabels()] == ["frequency", "damping", "shape", "heat"]
+    rows = [("base", mode, "frf", 2.0, 1.0, 0.5) for mode in ("responses", "run 2: responses", "1BT")]
+    frfs = draw_where_it_fails(
+        pd.DataFrame([*rows, ("base", "r: responses", "heat", 2.0, 1.0, 0.5)], columns=kinds.columns)
+    )
+    assert [t.get_text() for t in frfs.get_yticklabels()] == ["FRFs", "run 2: FRFs", "1BT", "r: responses"]
+
+
+def test_cells_have_no_exponents(kinds):
+    words, _ = cells(draw_where_it_fails(kinds.assign(chi2=1e-5, dof=1.0)))
+    assert set(words.values()) == {"< 0.001", "–"}
 
 
 def test_nothing_compared(kinds):
