@@ -156,7 +156,7 @@ def import_matrices(
         the code's unit of length, two columns, or numbers such as 12.3.
     coordinates : path, optional
         A table ``node, x, y, z`` in m, or a deck with ``*NODE`` or ``GRID``.
-    units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}, optional
+    units : {"m-kg-N", "mm-t-N", "mm-kg-mN", "in-lbf", "in-kip", "ft-lbf"}, optional
         Of the matrices and the deck; by default m-kg-N, which is told with the mass in the others.
     stiffness, mass, damping : str or sequence of str, optional
         Of matrices or their files, where these do not tell what they are. Each stiffness matrix gets a parameter.

@@ -29,7 +29,7 @@ def import_to_study(
         Path | None, typer.Option("--coordinates", metavar="FILE", help="Nodes: table in m, deck or mesh.")
     ] = None,
     units: Annotated[
-        str | None, typer.Option("--units", help="Of the matrices: m-kg-N, mm-t-N, in-lbf, in-kip.")
+        str | None, typer.Option("--units", help="Of the matrices: m-kg-N, mm-t-N, mm-kg-mN, in-lbf, in-kip, ft-lbf.")
     ] = None,
     stiffness: Annotated[
         list[str] | None, typer.Option("--stiffness", metavar="NAME", help="Matrix or file; again for a further part.")

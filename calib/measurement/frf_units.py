@@ -14,7 +14,9 @@ from calib.measurement.frf_repeats import Key
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, by which accelerometers are calibrated in g."""
 
-LENGTHS: Mapping[str, float] = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "in": 0.0254, "ft": 0.3048}
+LENGTHS: Mapping[str, float] = {
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "inch": 0.0254, "in": 0.0254, "ft": 0.3048
+}  # fmt: skip
 """Metres per unit of length."""
 FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
 """Newtons per unit of force."""

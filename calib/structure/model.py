@@ -165,7 +165,7 @@ class StructuralModel(Analytic, Short):
             Such as those of element sets. Each is a cluster of degrees of freedom, whose share of a mode's strain
             energy is told, and the colour of the lines between its nodes that no set before it has.
         name : str
-        units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}
+        units : {"m-kg-N", "mm-t-N", "mm-kg-mN", "in-lbf", "in-kip", "ft-lbf"}
             Unit system of matrices and coordinates, with s and rad; parameters keep their own units.
         layers : {"mean"}, optional
             Several rows of one name are layers of a shell that the code expands to a solid, as CalculiX does: the node

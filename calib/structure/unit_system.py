@@ -13,10 +13,10 @@ from calib.errors.errors import InputError
 from calib.problem.parameter import Parameter
 
 _TOKENS: Mapping[str, tuple[int, int, int, int]] = {
-    **dict.fromkeys(("GPa", "MPa", "kPa", "Pa"), (1, -2, 0, 0)),
-    **dict.fromkeys(("MN", "kN", "N"), (1, 0, 0, 0)),
-    **dict.fromkeys(("kg", "g", "t"), (0, 0, 1, 0)),
-    **dict.fromkeys(("mm", "m"), (0, 1, 0, 0)),
+    **dict.fromkeys(("GPa", "MPa", "kPa", "Pa", "psi", "ksi"), (1, -2, 0, 0)),
+    **dict.fromkeys(("MN", "kN", "N", "lbf", "kip"), (1, 0, 0, 0)),
+    **dict.fromkeys(("mm", "m", "in", "ft"), (0, 1, 0, 0)),
+    **dict.fromkeys(("kg", "g", "t", "lb"), (0, 0, 1, 0)),
     "Hz": (0, 0, 0, -1),
     **dict.fromkeys(("rad", "deg", "-", "%"), (0, 0, 0, 0)),
     "s": (0, 0, 0, 1),
@@ -72,17 +72,20 @@ SYSTEMS: Mapping[str, UnitSystem] = {
     for one in (
         UnitSystem("m-kg-N", 1.0, 1.0),
         UnitSystem("mm-t-N", 1e-3, 1.0),
+        UnitSystem("mm-kg-mN", 1e-3, 1e-3),
         UnitSystem("in-lbf", 0.0254, 4.4482216152605),
         UnitSystem("in-kip", 0.0254, 4448.2216152605),
+        UnitSystem("ft-lbf", 0.3048, 4.4482216152605),
     )
 }
-"""Known systems; their mass is kg, t, lbf s2/in and kip s2/in."""
+"""Known systems; their mass is kg, t, kg, lbf s2/in, kip s2/in and slug."""
 
 
 def unit_system(name: str, place: str) -> UnitSystem:
     """A system by its name; InputError for an unknown one."""
     if name not in SYSTEMS:
-        raise InputError(f"it is {name!r:.40}", place=place, remedy=f"one of {', '.join(SYSTEMS)}")
+        known = ", ".join(f"{s.name} (mass in {s.mass:.4g} kg)" for s in SYSTEMS.values())
+        raise InputError(f"it is {name!r:.40}", place=place, remedy=f"one of {known}; all have seconds")
     return SYSTEMS[name]
 
 

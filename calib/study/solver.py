@@ -299,7 +299,7 @@ def solver_model(
         Copied into the folder: meshes, scripts.
     coordinates : str
         File in the folder with places of nodes, where neither modes nor decks have them.
-    units : {"m-kg-N", "mm-t-N", "in-lbf", "in-kip"}
+    units : {"m-kg-N", "mm-t-N", "mm-kg-mN", "in-lbf", "in-kip", "ft-lbf"}
         Of coordinates and matrices.
     sensors : sequence of Sensor, of (node, direction), or of names like ``12y``
         Motions that are compared; nodes are found by place where both have one, else by number.

@@ -64,7 +64,7 @@ class SolverSettings(Section):
     """Table ``response, value`` that the command writes, instead of modes."""
     matrices: tuple[PathText, ...] = ()
     """Files with matrices that it writes where the template's variable ``matrices`` is true, for ``calib import``."""
-    units: Literal["m-kg-N", "mm-t-N", "in-lbf", "in-kip"] = "m-kg-N"
+    units: Literal["m-kg-N", "mm-t-N", "mm-kg-mN", "in-lbf", "in-kip", "ft-lbf"] = "m-kg-N"
     """Unit system of the matrices and of coordinates."""
     coordinates: PathText = ""
     """File in the folder with places of nodes, where neither modes nor decks have them."""

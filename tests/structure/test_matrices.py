@@ -222,7 +222,11 @@ def test_rows_of_several_runs_must_agree():
             chain(dofs=runs)
 
 
-def cantilever(units, metre):
+METRIC = (("GPa", 210.0), ("mm", 4.0), ("kg/m3", 7850.0))
+INCH = (("psi", 210e9 / 6894.757293168), ("in", 4.0 / 25.4), ("lbfs2/in4", 7850.0 * 0.0254**4 / 4.4482216152605))
+
+
+def cantilever(units, metre, named=METRIC):
     """A beam of one element with its length and width in the system's unit of length, by the formulas of a handbook."""
     length, width = 0.8 * metre, 0.05 * metre
     bent = np.array([[12 / length**3, -6 / length**2], [-6 / length**2, 4 / length]]) * width / 12
@@ -231,16 +235,20 @@ def cantilever(units, metre):
     return StructuralModel.from_matrices(
         {"bent": (bent, {"E": 1.0, "t": 3.0})}, {"moved": (moved, {"rho": 1.0, "t": 1.0})}, dofs=dofs, units=units,
         parameters=[
-            Parameter("E", 210.0, 100.0, 300.0, "GPa"), Parameter("t", 4.0, 2.0, 8.0, "mm"),
-            Parameter("rho", 7850.0, 7000.0, 8000.0, "kg/m3"),
+            Parameter(name, value, 0.4 * value, 2.0 * value, unit)
+            for name, (unit, value) in zip(("E", "t", "rho"), named, strict=True)
         ],
     )  # fmt: skip
 
 
 @pytest.mark.parametrize(
-    ("units", "metre"), [("mm-t-N", 1e3), ("in-lbf", 1 / 0.0254), ("in-kip", 1 / 0.0254), ("m-kg-N", 1.0)]
+    ("units", "metre"),
+    [("mm-t-N", 1e3), ("mm-kg-mN", 1e3), ("in-lbf", 1 / 0.0254), ("in-kip", 1 / 0.0254), ("ft-lbf", 1 / 0.3048)],
 )
 def test_matrices_in_another_unit_system_give_the_same_model(units, metre):
+    named = [cantilever(units, metre, own).matrices({}) for own in (METRIC, INCH)]
+    for one, another in zip(*named, strict=True):
+        assert another.toarray() == pytest.approx(one.toarray(), rel=1e-9)
     other, plain = cantilever(units, metre), cantilever("m-kg-N", 1.0)
     wanted = 3.533 / (2 * np.pi * 0.8**2) * np.sqrt(2.1e11 * 0.004**2 / 12 / 7850)  # of one element; exact is 3.516
     assert other.modes({}, 1).natural_freq == pytest.approx(wanted, rel=1e-3)
@@ -251,7 +259,7 @@ def test_matrices_in_another_unit_system_give_the_same_model(units, metre):
 
 
 def test_an_unknown_unit_system_is_refused():
-    with pytest.raises(InputError, match="mm-t-N"):
+    with pytest.raises(InputError, match=r"mm-kg-mN \(mass in 1 kg\), in-lbf \(mass in 175.1 kg\)"):
         chain(units="mm-kg-N")
 
 
