@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import scipy.linalg as la
@@ -12,6 +13,7 @@ from scipy.special import log_ndtr
 from calib.inference.region import ACTIVE
 from calib.missing.linearised_fit import LinearisedFit
 from calib.problem.candidate import Candidate
+from calib.problem.parameter import Parameter
 
 
 def ln_evidence(fit: LinearisedFit, added: Sequence[Candidate]) -> float:
@@ -88,6 +90,16 @@ def rescaled(ln_bayes: float, magnitude: float, std: float, prior_sd: float, fac
         return -0.5 * (np.log(v + sd**2) + m**2 / (v + sd**2))
 
     return float(ln_bayes + ln(factor * prior_sd) - ln(prior_sd))
+
+
+def resized(ln_bayes: float, magnitude: float, std: float, p: Parameter, factor: float) -> float:
+    """`rescaled` for the prior of a magnitude.
+
+    Heavy tails bend little over the posterior, so that the ratio is that of their densities at the magnitude.
+    """
+    if p.prior_kind != "heavy-tailed":
+        return rescaled(ln_bayes, magnitude, std, p.prior_width, factor)
+    return ln_bayes + replace(p, prior_sd=factor * p.prior_width).log_prior(magnitude) - p.log_prior(magnitude)
 
 
 def favoured(ln_bayes: float, magnitude: float, std: float, prior_sd: float) -> float:

@@ -13,7 +13,7 @@ from calib.inference.rules import WIDE
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.collinear import Group
 from calib.missing.effect_facts import smallest_visible
-from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, rescaled
+from calib.missing.evidence import expected_ln_bayes, ln_bayes_linear, model_probabilities, resized
 from calib.missing.explanation import Explanation
 from calib.missing.facts import Places
 from calib.missing.local import fault_words, local_perturbation
@@ -102,7 +102,7 @@ def effects_table(
             p = e.magnitude
             row |= {"magnitude": magnitude, "magnitude_low": max(low, p.lower), "magnitude_high": min(high, p.upper)}
             for column, factor in factors.items():
-                row[column] = rescaled(found.ln_bayes(candidate_fit), magnitude, std, e.plausible, factor)
+                row[column] = resized(found.ln_bayes(candidate_fit), magnitude, std, p, factor)
         leader = singles.get(group.effect.name)
         if candidate_fit is None and leader is not None:  # the data say the same of all collinear effects
             row |= {column: first[column] for column in (*factors, "implausible")}

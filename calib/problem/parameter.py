@@ -78,8 +78,8 @@ SI_FACTORS: Mapping[str, float] = {
 
 Distribution = Literal["uniform", "fixed"]
 Scale = Literal["linear", "log"]
-PriorKind = Literal["normal", "log-normal", "uniform"]
-_KINDS = ("normal", "log-normal", "uniform")
+PriorKind = Literal["normal", "log-normal", "heavy-tailed", "uniform"]
+_KINDS = ("normal", "log-normal", "heavy-tailed", "uniform")
 _MOST_EXPONENT = 230.0
 """Largest natural logarithm of a value, about that of `MOST`."""
 MOST = 1e100
@@ -110,11 +110,13 @@ class Parameter:
     prior_sd : float or None
         Prior standard deviation in ``unit``; of a log-normal prior ``value`` times that of the logarithm. Default is
         that of the uniform distribution between the limits, ``(upper - lower)/sqrt(12)``, of logarithms on a log scale.
+        Of a heavy-tailed prior that of the normal one which has the same density at ``value``.
     scale : {"linear", "log"}
         With ``"log"`` samples, searches, steps of fits, intervals and figures take the logarithm of the value.
-    prior : {"normal", "log-normal", "uniform"} or sequence of (value, density) or None
+    prior : {"normal", "log-normal", "heavy-tailed", "uniform"} or sequence of (value, density) or None
         What is known before the test: a normal distribution about ``value``; a log-normal one with the median
-        ``value``; every value within the limits alike along the scale, which pulls to none; or a density tabulated
+        ``value``; a Cauchy distribution about ``value``, which hardly draws a value that is far off (Jeffreys 1961,
+        sec. 5.2); every value within the limits alike along the scale, which pulls to none; or a density tabulated
         over values in ``unit``, straight between them, whatever the factor. Default is ``"normal"`` on a linear and
         ``"log-normal"`` on a logarithmic scale.
     prior_correlation : tuple of (str, float)
@@ -230,7 +232,7 @@ class Parameter:
                 raise InputError("a log-normal prior has no standard deviation", place=place, remedy="give prior_sd")
         elif not isinstance(self.prior, Density):
             object.__setattr__(self, "prior", Density.of(self.prior, place))
-        if self.prior_sd is not None and self.prior != "log-normal":
+        if self.prior_sd is not None and self.prior not in ("log-normal", "heavy-tailed"):
             remedy = "leave prior_sd out: it follows from the prior"
             raise InputError("both a prior and its standard deviation are given", place=place, remedy=remedy)
         if isinstance(self.prior, Density) and not self.distribution == "fixed":
@@ -313,6 +315,9 @@ class Parameter:
         kind = self.prior_kind
         if isinstance(kind, Density):
             return kind.width(value)
+        if kind == "heavy-tailed":
+            far = (value - self.value) / self.prior_width
+            return self.prior_width * (1 + math.pi / 2 * far**2) * math.exp(-(self.pull(value) ** 2) / 2)
         log = kind == "log-normal" or (kind == "uniform" and self.is_log)
         return self.prior_width * (value / self.value) if log else self.prior_width
 
@@ -320,13 +325,19 @@ class Parameter:
         """What the prior adds to a residual at a value: its distance from the median in standard deviations.
 
         ``-pull^2/2`` is the logarithm of the prior's density over the value, of a log-normal one over its logarithm;
-        of a tabulated one the value is turned into a standard normal one. 0 for a uniform prior.
+        of a tabulated and of a heavy-tailed one the value is turned into a standard normal one. 0 for a uniform prior.
         """
         kind = self.prior_kind
         if isinstance(kind, Density):
             return kind.score(value)
         if kind == "log-normal":
             return math.log(value / self.value) * self.value / self.prior_width
+        if kind == "heavy-tailed":
+            from scipy import special
+
+            far = (value - self.value) / self.prior_width
+            beyond = math.atan2(1.0, math.sqrt(math.pi / 2) * abs(far)) / math.pi
+            return math.copysign(float(special.ndtri(beyond)), far)
         return 0.0 if kind == "uniform" else (value - self.value) / self.prior_width
 
     @property

@@ -48,9 +48,10 @@ class ParameterSettings(Section):
     is not selected is uncertain by it. Of a log-normal prior it is ``value`` times that of the logarithm."""
     scale: Literal["linear", "log"] | None = None
     """``"log"``: samples, searches, fits, intervals and figures take the logarithm; for limits over several decades."""
-    prior: Literal["normal", "log-normal", "uniform"] | tuple[Pair, ...] | None = None
+    prior: Literal["normal", "log-normal", "heavy-tailed", "uniform"] | tuple[Pair, ...] | None = None
     """What is known before the test: ``"normal"`` about ``value``, ``"log-normal"`` with the median ``value`` (default
-    with ``scale = "log"``), ``"uniform"`` between the limits, or pairs ``[value, density]``."""
+    with ``scale = "log"``), ``"heavy-tailed"`` about ``value`` (Cauchy), ``"uniform"`` between the limits, or pairs
+    ``[value, density]``."""
     needed: float | None = Field(default=None, gt=0)
     """Largest standard deviation with which it counts as identified; by default 10 % of the nominal value, or the prior
     standard deviation where that value is 0 or a position. Of an integer at most 0.2."""

@@ -43,6 +43,16 @@ def test_the_answer_says_that_no_library_was_given_and_how_many_were_tested(heav
     assert f" {count} " in note and heavy_floor.settings.libraries == ("generic",)
 
 
+@pytest.mark.slow
+def test_far_more_than_its_plausible_size_is_not_drawn_down_to_it():
+    found = posed(mass={4: 8 * MASS}).explain("generic", progress=False).explanation.effects
+    row = found.set_index("name").loc["mass_floor_4"]
+    assert row["magnitude_low"] < 8.0 < row["magnitude_high"] and row["plausible"] == 0.3
+    # The tail of the prior is in proportion to its width.
+    gain = row[["ln_bayes_third", "ln_bayes_triple"]] - row["ln_bayes"]
+    np.testing.assert_allclose(gain.to_numpy(dtype=float), [-np.log(3), np.log(3)], atol=0.01)
+
+
 @pytest.mark.medium
 def test_the_same_change_of_a_matrix_is_one_candidate():
     """A spring between two floors is the storey, a mass at a floor is the floor, the support is the first storey."""

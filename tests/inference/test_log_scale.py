@@ -167,6 +167,17 @@ def test_a_log_normal_prior_on_a_linear_scale():
     np.testing.assert_allclose(density / density.sum(), exact / exact.sum(), rtol=1e-9)
 
 
+def test_a_heavy_tailed_prior_is_as_high_as_a_normal_one_and_hardly_draws_what_is_far_off():
+    p = Parameter("m", 1.0, -50.0, 50.0, prior="heavy-tailed", prior_sd=0.2)
+    x = np.array([-20.0, 0.5, 1.0, 1.3, 40.0])
+    density = np.exp([p.log_prior(v) - math.log(p.span_at(v)) - 0.5 * math.log(2 * math.pi) for v in x])
+    np.testing.assert_allclose(density, stats.cauchy.pdf(x, 1.0, 0.2 * math.sqrt(2 / math.pi)), rtol=1e-9)
+    assert density[2] == pytest.approx(stats.norm.pdf(0.0, scale=0.2)) and p.prior_width_at(1.0) == p.prior_width
+    assert p.pull(1.0) == 0.0 and p.pull(3.0) == pytest.approx(1.955, abs=0.001) and p.pull(-1.0) == -p.pull(3.0)
+    slopes = [(p.pull(v + 1e-6) - p.pull(v - 1e-6)) / 2e-6 for v in x]
+    np.testing.assert_allclose(1 / np.array(slopes), [p.prior_width_at(v) for v in x], rtol=1e-4)
+
+
 def test_a_uniform_prior_pulls_to_no_value():
     space = ParameterSpace((Parameter("p", 1.0, 0.0, 10.0, prior="uniform"),))
 

@@ -131,7 +131,8 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
     tries at all of their natural frequencies and lags. Without damping in the model there are none that dissipate:
     they would change nothing. Of those that change the same entries of one matrix in the same ratio, such as a spring
     between two masses and the part that it is, the first stands for all. Stiffness and mass of what has the same nodes
-    also change together. A mass or a spring to the ground has one at a free place as its richer member.
+    also change together. A mass or a spring to the ground has one at a free place as its richer member. As nobody
+    stated their plausible sizes, priors have heavy tails: a mass of ten times its size is not drawn down to it.
 
     Parameters
     ----------
@@ -151,13 +152,19 @@ def generic_effects(model: Model, measured: Sequence[Measured], taken: Collectio
         kept += springs_between(model, sensors, values, names, _middle(_band(model, measured, values)))
         kept = [c for c in kept if model.is_damped or c.kind not in DISSIPATING]
         kept = with_free_places(model, values, _different(model, kept), names)
-    out = tuple(replace(c.effect, generic=True) for c in kept)
+    out = tuple(_guessed(c.effect) for c in kept)
     if not out:
         raise InputError(
             f"no generic effects can be composed: {model.name} names no parts, and has no matrices", place="effects",
             remedy="name a library, or give it parts that its function scales",
         )  # fmt: skip
     return out
+
+
+def _guessed(effect: Effect) -> Effect:
+    """A generic effect, whose plausible size is a guess."""
+    richer = None if effect.richer is None else _guessed(effect.richer)
+    return replace(effect, magnitude=replace(effect.magnitude, prior="heavy-tailed"), generic=True, richer=richer)
 
 
 def _different(model: StructuralModel, found: Sequence[Composition]) -> list[Composition]:

@@ -179,7 +179,7 @@ def _freed(model: StructuralModel, one: Composition, patch: Patch, reach: float,
     what = effect.title.partition(" at ")[0]
     return Effect(
         name, f"{what} near {one.at}", effect.lacks, effect.look_for, magnitude, free, offsets, tuple(grid),
-        phrase=f"{what[:1].lower()}{what[1:]} near {one.at}", generic=True,
+        phrase=f"{what[:1].lower()}{what[1:]} near {one.at}",
     )  # fmt: skip
 
 
