@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pandas as pd
 
-from calib.analyses.sensitivity import Sensitivity, response_units
+from calib.analyses.sensitivity import Sensitivity, response_units, runs_of
 from calib.api.figures import file_name, write_named
 from calib.errors.errors import InputError
 from calib.report.metamodel import CELLS, draw_residuals, surface_figure
@@ -47,13 +47,13 @@ def draw_metamodels(
     if not isinstance(found, Sensitivity):
         raise InputError("it has no metamodels", place=f"method {found.method}", remedy="use the method 'ranks'")
     title, own = f"{study.settings.title}: metamodel", found.prognosis
-    units = response_units(study, [one.response for one in own.models])
-    drawn = [(f"residuals_{file_name(r)}", partial(_figure, own[r], found.sampled, None, units)) for r in residuals]
+    units, designs = response_units(study, [one.response for one in own.models]), _computed(study, found.sampled)
+    drawn = [(f"residuals_{file_name(r)}", partial(_figure, own[r], designs, None, units)) for r in residuals]
     for r, x, y in surfaces:
         drawn.append(
             (
                 f"surface_{file_name(r)}_{file_name(x)}_{file_name(y)}",
-                partial(_figure, own[r], found.sampled, (x, y), units),
+                partial(_figure, own[r], designs, (x, y), units),
             )
         )
     return write_named(drawn, title, study.synthetic, folder)
@@ -64,9 +64,15 @@ def draw_metamodel(
 ) -> Path:
     """Draw one metamodel into a PNG file; see `draw_metamodels`."""
     with style():
-        figure = _figure(one, designs, inputs, response_units(study, [one.response]))
+        figure = _figure(one, _computed(study, designs), inputs, response_units(study, [one.response]))
         (written,) = save(figure, path.with_suffix(""))
     return written
+
+
+def _computed(study: AnyStudy, sampled: pd.DataFrame) -> pd.DataFrame:
+    """The designs that were computed: the samples, or the runs of a table, whose samples are predicted."""
+    runs = runs_of(study)
+    return sampled if runs is None else runs.points[runs.values.notna().any(axis=1)]
 
 
 def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | None, units: Mapping[str, str]) -> Figure:

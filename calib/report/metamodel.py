@@ -101,6 +101,7 @@ def surface_figure(
     flat.scatter(designs[x], designs[y], s=4, color="white", linewidths=0, alpha=0.7, gid="designs")
     flat.set(xlabel=labels.get(x, x), ylabel=labels.get(y, y), xlim=(across.min(), across.max()))
     flat.set(ylim=(up.min(), up.max()), xscale="log" if x in log else "linear", yscale="log" if y in log else "linear")
+    flat.set_title(f"white: {len(designs)} designs, at any other inputs", loc="left", fontsize=8)
     figure.colorbar(image, ax=flat, label=labels.get(response, response))
     space: Any = figure.add_subplot(1, 2, 2, projection="3d")
     across, up = (np.log10(at) if name in log else at for name, at in ((x, across), (y, up)))

@@ -33,7 +33,7 @@ def draw_reduction(ax: Axes | None, table: pd.DataFrame) -> Axes:
     ax.grid(axis="y")
     legend_above(ax)
     lost = table["error"].le(ROUNDING).sum()
-    words = f"not drawn: {lost} errors below {ROUNDING:.0e} %, which is rounding"
+    words = f"not drawn: {lost} errors below 2 × 10⁻⁷ %, which is rounding"
     ax.text(0.01, 0.03, words, transform=ax.transAxes, fontsize=8, color=GREY)
     return ax
 

@@ -10,7 +10,7 @@ import pytest
 import calib
 from calib.analyses.compare import comparison_at
 from calib.analyses.sensitivity import response_units
-from calib.api.metamodel_figures import _figure
+from calib.api.metamodel_figures import _computed, _figure
 from calib.problem.sampling import sample
 from calib.study import runs
 from calib.study.runs import read_runs
@@ -215,7 +215,13 @@ def test_axes_of_responses_have_the_unit_of_the_table(tmp_path):
     found = calib.Problem.from_runs(written(tmp_path, table()), ["k", "m"], test).sensitivity()
     units = response_units(found.study, ["f1", "mass"])
     assert units == {"f1": "Hz", "mass": "kg"}
-    flat, bar, space = _figure(found.prognosis["f1"], found.samples, ("k", "m"), units).axes
+    runs = found.study.model.metamodels
+    runs.values.loc[3] = np.nan  # a run that failed
+    drawn = _figure(found.prognosis["f1"], _computed(found.study, found.samples), ("k", "m"), units)
+    flat, bar, space = drawn.axes
+    (dots,) = [c for c in flat.collections if c.get_gid() == "designs"]
+    np.testing.assert_array_equal(dots.get_offsets(), runs.points.drop(index=3))
+    assert "59 designs" in flat.get_title(loc="left")
     assert (bar.get_ylabel(), space.get_title(), flat.get_xlabel()) == ("f1, Hz", "f1, Hz", "k, kN/m")
 
 
