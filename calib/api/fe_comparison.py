@@ -219,7 +219,12 @@ def model_of_modes(
     own, places = _points(measured), _points(computed)
     partners, of = None, {node: node for node in {s.node for s in measured.sensors}}
     if own and places:
-        partners = node_partners(own, places, node_limit).require(NAME)
+        if unplaced := [str(s.node) for s in measured.sensors if s.node not in own]:
+            raise InputError(
+                f"measured node {unplaced[0]} has no place, and others have", place="sensors",
+                remedy="add it to the table of places (--sensors), or take it out of the measured shapes",
+            )  # fmt: skip
+        partners = node_partners(own, places, node_limit).require(f"of {NAME}")
         of |= partners.of
     rows = {(s.node, s.direction): k for k, s in enumerate(computed.sensors)}
     directions: dict[int, list[str]] = {}
@@ -230,6 +235,14 @@ def model_of_modes(
         for direction in directions.get(at, ()):
             sensors.append(Sensor(node, direction, places.get(at)))
             index.append(rows[at, direction])
+    moved = {s.name for s in sensors}
+    if still := [s for s in measured.sensors if s.name not in moved and of[s.node] in directions]:
+        node, direction = of[still[0].node], still[0].direction
+        raise InputError(
+            f"the computed modes have no motion of node {node} along {direction}, only along "
+            f"{', '.join(directions[node])}", place=f"sensor {still[0].name}",
+            remedy="let the code write it, or take the sensor out of the measured shapes",
+        )  # fmt: skip
     if measured.has_shapes and not sensors:
         lacking = " and ".join(side for side, known in (("measured", own), ("computed", places)) if not known)
         remedy = "give those of the computed nodes as coordinates, those of the measured ones as sensors"

@@ -156,7 +156,11 @@ def _gmsh(file: Path, metres: float) -> ElementMesh:
         elements.append(Element(number, "", tuple(nodes[:count]), edges))
         for tag in physical:
             groups.setdefault(names.get((dimension, tag), f"group {tag}"), set()).add(number)
-    return ElementMesh({n: _scaled(p, metres) for n, p in points}, tuple(elements), groups)
+    placed: dict[int, Point] = {}
+    for node, at in points:
+        if placed.setdefault(node, _scaled(at, metres)) != _scaled(at, metres):
+            raise InputError(f"node {node} is there twice, at different places", place=file, remedy="keep one of them")
+    return ElementMesh(placed, tuple(elements), groups)
 
 
 def _sections(text: str) -> Iterator[tuple[str, str]]:

@@ -48,9 +48,12 @@ def read_printed(file: Path) -> Found:
                              remedy="print them in the global system: RSYS,0")  # fmt: skip
         modes, shapes = _ansys(text)
     else:
+        binary = file.suffix.lower() in (".rst", ".odb", ".rth")
         raise InputError(
-            "no modes that Nastran, Abaqus, CalculiX or ANSYS print are in it", place=file,
-            remedy="print them (DISPLACEMENT(PRINT); *NODE PRINT; PRNSOL), or write a universal file",
+            "it is a database that only its code reads" if binary
+            else "no modes that Nastran, Abaqus, CalculiX or ANSYS print are in it", place=file,
+            remedy="print the modes (ANSYS: PRNSOL,U,COMP after SET of each mode; Abaqus, CalculiX: *NODE PRINT; "
+            "Nastran: DISPLACEMENT(PRINT)), or write a universal file",
         )  # fmt: skip
     if not modes:
         raise InputError("it has no frequencies of modes", place=file, remedy="let the code print its eigenvalues too")

@@ -108,7 +108,8 @@ class NodePartners:
                 "model (--units of an import, --length-unit of computed nodes)"
             )
         if not len(beyond):
-            words = f"{_nodes(len(self.table))} crowded on {self.table['partner'].nunique()} of the model {model}"
+            count = self.table["partner"].nunique()
+            words = f"{_nodes(len(self.table))} crowded on {count} node{'s' * (count != 1)} of the model {model}"
             raise InputError(words, place="sensors", remedy=remedy, table=self.text())
         rows = beyond.sort_values("distance", ascending=False, kind="stable")
         lie = "lies" if len(beyond) == 1 else "lie"

@@ -147,7 +147,7 @@ def _between_nodes(model: _Located, sensors: Sequence[Sensor]) -> NodePartners:
         for unit, metres in LENGTHS.items():
             if unit != "m" and np.mean(distances(metres) <= limit) >= RULES.partner_share:
                 unlike = abs(np.log(metres * extent(points) / extent(model.mesh.points)))
-                words = {"in": "inches", "ft": "feet"}.get(unit, unit)
+                words = {"inch": "inches", "ft": "feet"}.get(unit, unit)
                 found.append((unlike, f"measured places in {words}"))
     table = partner_table(np.array([s.node for s in sensors]), points, distance, np.full(len(sensors), limit))
     table["remark"] = [

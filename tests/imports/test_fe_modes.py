@@ -243,6 +243,7 @@ def test_complex_modes_keep_their_phases():
 @pytest.mark.parametrize(
     ("name", "text", "words"),
     [
+        ("a.rst", "", "PRNSOL,U"),
         ("a.f06", "nothing here\n", "no modes"), ("a.frd", "    1C\n 9999\n", "no displacements"),
         ("a.fil", "\0binary", "ASCII"), ("a.fil", fil()[:2000] + "\n", "cut off"),
         ("a.fil", fil().replace("\n", "").replace("I 3101", "I 3107"), "no displacements"),
@@ -254,6 +255,15 @@ def test_files_without_modes_are_refused(tmp_path, name, text, words):
     (tmp_path / name).write_text(text)
     with pytest.raises(InputError, match=words):
         read_fe_modes(tmp_path / name)
+
+
+def test_a_measured_node_without_a_place_and_a_motion_that_is_not_computed_are_named(tmp_path):
+    (path := tmp_path / "beam.frd").write_text(frd())
+    at = [Sensor(k, "z", (float(X[k - 1]), 0.0, -4e-3)) for k in (1, 3, 5)]
+    for wrong, words in ((Sensor(33, "z"), "node 33 has no place"), (Sensor(1, "ry", at[0].point), "node 1 along ry")):
+        test = calib.modes(FREQ, np.eye(4, 3) + 0.1, sensors=[*at, wrong])
+        with pytest.raises(InputError, match=words):
+            calib.compare_modes(path, test, length_unit="mm")
 
 
 def test_fewer_computed_than_measured_modes_are_refused():
@@ -280,6 +290,8 @@ def test_nodes_of_nastran_decks(tmp_path, line):
         ("a.inp", "*NODE\n5, 1200., 0., 300.\n5, 12{}0., 0., 300.\n", "node 5"),
         ("a.cdb", "NBLOCK,6,SOLID\n(3i9,6e21.13e3)\n" + f"{5:9d}{0:9d}{0:9d}{1200.0:21.13e}\n{5:9d}{0:9d}{0:9d}"
          "{:>21}\n", "node 5"),
+        ("a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n5 1200. 0 300\n5 12{}0. 0. 300\n$EndNodes\n"
+         "$Elements\n0\n$EndElements\n", "node 5"),
     ],
 )  # fmt: skip
 def test_a_node_at_two_places_is_refused(name, lines, place, tmp_path):

@@ -196,6 +196,14 @@ def test_a_matrix_that_lacks_or_is_there_twice_is_told_with_its_file(tmp_path):
     np.savez(tmp_path / "both.npz", K=K[:2, :2])
     with pytest.raises(InputError, match=r"two matrices 'K', of 42 and 2 rows"):
         read_matrices([tmp_path / "k.npz", tmp_path / "both.npz"])
+    np.savez(tmp_path / "both.npz", K=K[:2, :2], M=np.eye(2), dofs=np.array(NAMES, dtype=float)[:2])
+    np.savez(tmp_path / "k.npz", K=K, M=np.eye(len(K)), dofs=np.array(NAMES, dtype=float))
+    for rows in (2, len(K)):
+        files, chosen = [tmp_path / "k.npz", tmp_path / "both.npz"], {"stiffness": [f"K:{rows}"]}
+        read = read_matrices(files, chosen=chosen, dofs=None)
+        assert [len(read.dofs), read.matrices["mass"]["M"].shape[0]] == [rows, rows]
+    with pytest.raises(InputError, match="K:42, M:42, K:2, M:2"):
+        read_matrices(files, chosen={"stiffness": ["K:7"]})
     (tmp_path / "job.full").write_bytes(b"\0\1\2\3" * 20)
     with pytest.raises(InputError, match="ansys-mapdl-reader"):
         read_matrices([tmp_path / "job.full"])
