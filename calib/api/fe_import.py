@@ -69,6 +69,8 @@ class Imported(Displayed):
         Folder of the study that was written.
     measured : bool
         Whether the study has a measurement.
+    at : str
+        Values of the parameters at ``modes``, such as ``E = 2e+11``; empty for the nominal ones.
     """
 
     model: StructuralModel
@@ -79,6 +81,7 @@ class Imported(Displayed):
     units: str = "m-kg-N"
     study: Path | None = None
     measured: bool = False
+    at: str = ""
 
     @property
     def sentences(self) -> tuple[str, ...]:
@@ -101,7 +104,8 @@ class Imported(Displayed):
             + ((f"{row['set']} ({row['energy_share']:.0%})",) if "set" in row else ())
             for row in self.modes.to_dict("records")
         ]
-        title = f"{self.model.n_dof} degrees of freedom. First modes of the imported model:"
+        at = f" at the fresh point {self.at}" if self.at else ""
+        title = f"{self.model.n_dof} degrees of freedom. First modes of the imported model{at}:"
         told: list[Entry] = [
             *(Warned(words) for words in self.warnings),
             *(Words(words, "always") for words in self.notes),

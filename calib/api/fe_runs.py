@@ -61,9 +61,12 @@ class _Check:
         return self.freq <= FREQ_AGREES and not self.mac < MAC_AGREES
 
     @property
+    def at(self) -> str:
+        return ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
+
+    @property
     def words(self) -> str:
-        at = ", ".join(f"{name} = {value:.6g}" for name, value in self.values.items())
-        return f"{self.freq:.1e} in frequency and {self.mac:.5f} in MAC at {at}"
+        return f"{self.freq:.1e} in frequency and {self.mac:.5f} in MAC at {self.at}"
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,8 +177,8 @@ def _checked(
         notes += (f"{words}: it may take the solver's place.",)
     else:
         warnings += (f"{words}: do not rely on it. State other powers, or stay with the solver.",)
-    table = worst.table
-    out = Imported(model, terms.first, table, (*terms.first.notes, *notes), warnings, units, measured=True)
+    told = (*terms.first.notes, *notes)
+    out = Imported(model, terms.first, worst.table, told, warnings, units, measured=True, at=worst.at)
     if to is None:
         return out
     decks, files = (

@@ -23,6 +23,7 @@ def test_the_matrices_of_runs_have_the_modes_of_the_solver(tmp_path):
     found = calib.import_matrices(folder, to=tmp_path / "affine")
     assert found.modes["freq_error"].abs().max() < 1e-10 and found.modes["mac"].min() > 1 - 1e-9
     assert not found.warnings and found.study == tmp_path / "affine"
+    assert found.at.startswith("k = ") and f"at the fresh point {found.at}:" in str(found)
     with_matrices = [line for line in runs(folder) if line.endswith("True")]
     # k, m one more each, t four; m and t act together in the mass: four more, of which one was the trial.
     assert len(with_matrices) == 1 + 1 + 1 + 4 + 3 + 3 and len(runs(folder)) == len(with_matrices) + 2
