@@ -249,6 +249,10 @@ def test_below_a_nanny_of_dasks_own_points_are_evaluated_and_a_limit_is_refused(
             Injected.of(client).evaluator(source, 60.0).evaluate(points(1))
 
 
+class At(int):
+    stays_here = True
+
+
 @INSTALLED
 @pytest.mark.slow
 def test_long_tasks_are_done_by_workers_and_those_that_fail_there_here(two, monkeypatch):
@@ -269,6 +273,7 @@ def test_long_tasks_are_done_by_workers_and_those_that_fail_there_here(two, monk
     assert share(task, 10, [3, 3]) == [(13, here)] * 2  # its workers die
     with pytest.raises(InputError, match="five"):
         share(task, 10, [0, 5, 6])
+    assert {pid for _, pid in share(task, At(), [0, 1])} == {here}  # it needs files of this machine
     monkeypatch.setattr(cluster_tasks, "LONG", 1e9)
     assert {pid for _, pid in share(task, 10, [0, 1])} == {here}
 

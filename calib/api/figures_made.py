@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 from calib.execution.stage import Progress
 from calib.execution.tasks import each
@@ -37,8 +37,9 @@ def make_all(figures: Figures, request: FigureRequest, progress: Progress) -> di
 
 @dataclass(frozen=True)
 class _Task:
-    """What every process needs; each other one reads the tables itself."""
+    """What every process needs; each other one reads the tables itself, which are on this machine."""
 
+    stays_here: ClassVar = True
     folder: CurrentFolder
     title: str
     synthetic: bool

@@ -23,7 +23,8 @@ class ClusterTasks:
 
     The first task of every function is done here and shows how long one takes. What all tasks need travels once. What
     cannot be sent, fails elsewhere, or dies with its workers is done here, so that a failure is that of
-    `calib.execution.tasks.in_this_process`; so are tasks within a task.
+    `calib.execution.tasks.in_this_process`; so are tasks within a task. Tasks whose shared object has a true attribute
+    ``stays_here`` need files of this machine, and do not travel.
 
     Parameters
     ----------
@@ -43,6 +44,8 @@ class ClusterTasks:
         """Results in the order of the items; see `calib.execution.tasks.each`."""
         if self._within:
             return tasks.in_this_process(function, shared, items, told)
+        if getattr(shared, "stays_here", False):
+            return self._by(self._others, function, shared, items, told)
         first: list[R] = []
         if function not in self._seconds and len(items) > 1:
             began = time.perf_counter()
