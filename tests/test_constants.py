@@ -150,6 +150,7 @@ SPEED = {  # memory, time, processes; results are the same
     "analyses/sensitivity.py": "_BATCH",
     "analyses/provenance/stored.py": "CHEAP",
     "execution/cluster.py": "WORTHWHILE _TASK _AHEAD _FIRST _LOOK _CONNECT _PATIENCE",
+    "execution/cluster_tasks.py": "LONG",
     "execution/cluster_worker.py": "_KEPT",
     "execution/interrupt.py": "CODE PATIENCE LOOK TURN SLOW",
     "missing/nearest_integers.py": "_ALL_AT_ONCE",
