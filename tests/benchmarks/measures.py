@@ -53,7 +53,7 @@ def main() -> None:
     """Take the measures of one group."""
     group, *more = sys.argv[1:]
     groups: dict[str, Callable[..., Taken]] = {
-        "vehicle": of_vehicle, "effects": of_effects, "modes": of_modes, "opensees": of_opensees,
+        "vehicle": of_vehicle, "effects": of_effects, "opensees": of_opensees,
         "calculix": of_calculix, "commands": ran, "finer": of_finer, "auto": by_auto, "matrices": of_matrices,
         "sensors": of_sensors,
     }  # fmt: skip
@@ -88,19 +88,6 @@ def of_effects() -> Taken:
             wanted.with_effects(problem.model, basis, space, study.candidates, local)
 
     return {"effects": spent(widened), "effects_search": search}
-
-
-def of_modes() -> Taken:
-    """Undamped modes of the vehicle without seats: matrices at hand, assembled anew, and by SciPy's eigsh alone."""
-    vehicle = compared_vehicle()
-    stiffness, mass = vehicle.matrices()
-    turns = [{}] * REPEATS
-    return {
-        "own": usual(lambda _: vehicle.modes(stiffness, mass, MODES), turns),
-        "own_anew": usual(lambda _: vehicle.modes(*vehicle.matrices(), MODES), turns),
-        "eigsh": usual(lambda _: by_eigsh(stiffness, mass), turns),
-        "eigsh_anew": usual(lambda _: by_eigsh(*vehicle.matrices()), turns),
-    }
 
 
 def of_opensees() -> Taken:
@@ -227,12 +214,6 @@ def compared_vehicle():
     from simple_vehicle import simple_vehicle
 
     return simple_vehicle()
-
-
-def by_eigsh(stiffness: sp.csc_array, mass: sp.csc_array) -> np.ndarray:
-    """As its manual has it: shift-invert, by a small negative shift since there may be rigid-body motions."""
-    squares = sp.linalg.eigsh(sp.csc_matrix(stiffness), MODES, sp.csc_matrix(mass), sigma=-1.0)[0]
-    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
 
 
 def ran(*commands: str) -> Taken:

@@ -1,9 +1,9 @@
-"""Waits of a user that any commit can be asked for: commands, imports, and models given as matrices from Python.
+"""Waits of a user that any commit can be asked for: commands, imports, modes at full order, and models given as matrices.
 
     PYTHONPATH=CHECKOUT python tests/benchmarks/waits.py GROUP
 
-The last line is a JSON object, as that of `measures.py`. Only the front door and the commands of calib are used, and
-the studies are those of the checkout, so that a commit of other rooms and keys can stand beside the present one.
+The last line is a JSON object, as that of `measures.py`. Only the front door and the commands of calib are used, with
+studies, models and oracles of the checkout, so that a commit of other rooms and keys can stand beside the present one.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ def main() -> None:
     groups: dict[str, Callable[[], Taken]] = {
         "imports": of_imports, "compare": of_compare, "explain": of_explain, "spearman": of_spearman,
         "plate": of_plate, "wide": lambda: of_explanation(58, (5, 2)), "parts": lambda: of_explanation(25, (10, 10)),
+        "modes": of_modes,
     }  # fmt: skip
     report(**groups[sys.argv[1]]())
 
@@ -116,6 +117,46 @@ def of_spearman() -> Taken:
     responses = pd.DataFrame(rng.normal(size=(500, 300))).rename(columns="y{}".format)
     spearman(points.iloc[:, :2], responses.iloc[:, :2])
     return {"seconds": median([spent(lambda: spearman(points, responses)) for _ in range(REPEATS)])}
+
+
+def of_modes() -> Taken:
+    """Modes at full order: 40 undamped ones of the vehicle without seats, beside SciPy's eigsh, and 20 damped ones.
+
+    Matrices are at hand, or assembled anew.
+    """
+    import calib
+
+    sys.path[:0] = [f"{Path(calib.__file__).parents[1]}/{folder}" for folder in ("", "tests/oracles")]
+    from simple_vehicle import simple_vehicle
+
+    from models.railway import vehicle
+
+    simple, whole = simple_vehicle(), vehicle()
+    stiffness, mass = simple.matrices()
+    values = dict(whole.space.values)
+    name = next(iter(values))
+    points = [values | {name: (1 + 0.01 * k) * values[name]} for k in range(1, REPEATS + 1)]
+    turns: list[tuple[Spent, ...]] = []
+    for point in points:  # in turn, so that a busy machine slows all alike
+        tasks: list[Callable[[], object]] = [
+            lambda: simple.modes(stiffness, mass, MODES),
+            lambda: by_eigsh(stiffness, mass),
+            lambda: simple.modes(*simple.matrices(), MODES),
+            lambda: by_eigsh(*simple.matrices()),
+            lambda point=point: whole.modes(point, MODES // 2),
+        ]
+        turns.append(tuple(spent(task) for task in tasks))
+    own, eigsh, own_anew, eigsh_anew, damped = (median(some) for some in zip(*turns, strict=True))
+    return {
+        "own": own, "eigsh": eigsh, "own_anew": own_anew, "eigsh_anew": eigsh_anew, "damped": damped,
+        "faster": Spent(*(eigsh[k] / own[k] for k in (0, 1))),
+    }  # fmt: skip
+
+
+def by_eigsh(stiffness: sp.csc_array, mass: sp.csc_array) -> np.ndarray:
+    """As its manual has it: shift-invert, by a small negative shift since there may be rigid-body motions."""
+    squares = sp.linalg.eigsh(sp.csc_matrix(stiffness), MODES, sp.csc_matrix(mass), sigma=SHIFT)[0]
+    return np.sqrt(np.maximum(squares, 0.0)) / (2 * np.pi)
 
 
 def of_plate() -> Taken:
