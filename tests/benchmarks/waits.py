@@ -1,4 +1,4 @@
-"""Waits of a user that any commit can be asked for: commands, imports, modes at full order, and models given as matrices.
+"""Waits of a user that any commit can be asked for: commands, imports, modes at full order, models of matrices.
 
     PYTHONPATH=CHECKOUT python tests/benchmarks/waits.py GROUP
 
