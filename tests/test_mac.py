@@ -2,10 +2,12 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.optimize import linear_sum_assignment
 
 from calib.errors.errors import InputError
 from calib.measurement.mac import (
     align,
+    best_pairs,
     comac,
     is_real,
     mac,
@@ -198,3 +200,16 @@ def test_phase_collinearity_is_1_for_a_real_shape_of_any_phase_and_falls_with_th
     assert mpd[2] == pytest.approx(45.0, abs=1e-6)
     alone = phase_collinearity(np.array([[1j], [np.nan], [0.0]]))
     assert np.isnan(alone).all()
+
+
+@pytest.mark.parametrize("share", [0.1, 0.5, 1.0])
+def test_best_pairs_have_the_largest_sum_of_any_assignment(share):
+    rng, clear = np.random.default_rng(3), 0
+    for _ in range(200):
+        scores = np.where(rng.uniform(size=(n := rng.integers(0, 7, 2))) < share, rng.uniform(size=n), 0.0)
+        rows, columns = best_pairs(scores)
+        best = linear_sum_assignment(scores, maximize=True)
+        wanted = {(i, j) for i, j in zip(*best, strict=True) if scores[i, j] > 0}
+        assert {(i, j) for i, j in zip(rows, columns, strict=True) if scores[i, j] > 0} == wanted
+        clear += len(rows) == np.count_nonzero(scores.any(axis=1))
+    assert clear > 20

@@ -83,6 +83,8 @@ def test_infeasible_constraints_are_found_before_anything_runs():
     with pytest.raises(InputError, match="heavy"):
         tight.require_feasible()
     s.require_feasible()
+    elsewhere = ParameterSpace(s.parameters, (LinearConstraint("light", (("m", 1.0),), 1.0, 5.0),))
+    elsewhere.require_feasible()  # its own value, 20 kg/m, is not
     frozen = s.freeze({"k": 500, "m": 90, "n": 5})
     with pytest.raises(InputError, match="sum"):
         frozen.require_feasible()

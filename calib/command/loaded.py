@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -41,6 +42,7 @@ def loaded_study(
     case, method : str, optional
         Further options with which the command is given again once it was interrupted.
     """
+    gc.disable()  # what is imported stays: the collector's passes over it, at the exit too, would take 0.1 s
     from calib.api.study import Study
     from calib.command.printing import printing, tell_cache
     from calib.execution.executor import Injected
@@ -49,6 +51,8 @@ def loaded_study(
     from calib.structure.reduction.cache import using
     from calib.study.study_file import study_file
 
+    gc.freeze()
+    gc.enable()
     options = {"workers": workers, "quick": quick, "case": case, "method": method, "executor": executor}
     file = study_file(path)
     home, given = results / file.resolve().parent.name, {name: value for name, value in options.items() if value}

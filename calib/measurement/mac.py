@@ -50,6 +50,20 @@ def mac(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     return np.where(sums.x_is_real, as_real, hermitian)
 
 
+def best_pairs(scores: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rows and columns of pairs, one to one, whose scores (n_rows, n_columns), none below 0, have the largest sum.
+
+    Pairs of score 0 may be left out. Where the largest scores of all rows are in different columns they are the pairs.
+    """
+    rows = np.flatnonzero(np.max(scores, axis=1, initial=0.0) > 0)
+    columns = scores[rows].argmax(axis=1) if len(rows) else rows
+    if len(np.unique(columns)) == len(rows):
+        return rows, columns
+    from scipy.optimize import linear_sum_assignment  # slow to import, and clear pairs need no search
+
+    return linear_sum_assignment(scores, maximize=True)
+
+
 def macx(x: np.ndarray, y: np.ndarray) -> np.ndarray:
     """MACX ``(|x^H y| + |x^T y|)^2 / ((x^H x + |x^T x|)(y^H y + |y^T y|))`` of every pair of columns.
 

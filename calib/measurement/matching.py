@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib.errors.errors import InputError
-from calib.measurement.mac import mac
+from calib.measurement.mac import best_pairs, mac
 from calib.measurement.rules import RULES
 
 
@@ -52,13 +52,11 @@ def match_modes(sources: Sequence[str], freqs: Sequence[np.ndarray], shapes: Seq
     InputError
         When another assignment is as good: the matching is ambiguous.
     """
-    from scipy.optimize import linear_sum_assignment
-
     columns: list[dict[int, int]] = [{0: k} for k in range(len(freqs[0]))]
     for r in range(1, len(freqs)):
         score = _mean_scores(columns, freqs, shapes, r)
         score[score < RULES.same_score] = 0.0
-        rows, cols = linear_sum_assignment(score, maximize=True)
+        rows, cols = best_pairs(score)
         chosen = {int(i): int(c) for i, c in zip(rows, cols, strict=True) if score[i, c] > 0}
         _refuse_ambiguous(sources[r], freqs[r], score, chosen, by_shape=shapes[r].shape[0] >= RULES.sensors_for_mac)
         for i in range(len(freqs[r])):
@@ -107,13 +105,13 @@ def _scores(freq: np.ndarray, shapes: np.ndarray, other_freq: np.ndarray, others
 def _refuse_ambiguous(
     source: str, freq: np.ndarray, score: np.ndarray, chosen: dict[int, int], *, by_shape: bool
 ) -> None:
-    from scipy.optimize import linear_sum_assignment
-
     best = sum(score[i, c] for i, c in chosen.items())
     for i, c in chosen.items():
         other = score.copy()
         other[i, c] = 0.0
-        rows, cols = linear_sum_assignment(other, maximize=True)
+        if best - np.max(other, axis=1, initial=0.0).sum() >= RULES.ambiguous:
+            continue  # no assignment has more than the largest score of every mode
+        rows, cols = best_pairs(other)
         again = {int(a): int(b) for a, b in zip(rows, cols, strict=True) if other[a, b] > 0}
         # frequencies alone never cross
         crossed = not by_shape and set(again) == set(chosen) and set(again.values()) == set(chosen.values())

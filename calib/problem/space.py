@@ -360,8 +360,6 @@ class ParameterSpace:
 
     def require_feasible(self) -> None:
         """Raise InputError when no point of the space satisfies all constraints (by linear programming)."""
-        from scipy.optimize import linprog
-
         rows, low, high = self.constraint_rows()
         if not len(rows):
             return
@@ -370,6 +368,11 @@ class ParameterSpace:
             if broken:
                 raise InputError(f"the fixed values break constraint {broken[0]!r}", place="constraints")
             return
+        own = np.array([parameter.value for parameter in self.free])
+        if self.feasible(own).all():
+            return
+        from scipy.optimize import linprog  # slow to import, and most spaces hold their own values
+
         upper, lower = np.isfinite(high), np.isfinite(low)
         matrix = np.vstack([rows[upper], -rows[lower]])
         bound = np.concatenate([high[upper], -low[lower]])

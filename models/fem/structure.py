@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from scipy.spatial import KDTree
 
 from calib import InputError
 from calib.structure import Mesh
@@ -90,6 +89,8 @@ class Structure(Frame):
         object.__setattr__(self, "panel_of", np.concatenate(owner))
 
     def _refuse_gaps(self) -> None:
+        from scipy.spatial import KDTree  # slow to import, and frames need none
+
         edges = np.unique(surface.edges(self.corners), axis=0)
         start, end = self.points[edges[:, 0]], self.points[edges[:, 1]]
         length = np.linalg.norm(end - start, axis=1)

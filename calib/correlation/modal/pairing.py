@@ -11,6 +11,7 @@ import numpy as np
 from calib.correlation.modal.order import Costs, align_in_order
 from calib.correlation.rules import RULES
 from calib.errors.errors import InputError
+from calib.measurement.mac import best_pairs
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +83,6 @@ def pair_by_shape(
     InputError
         When a choice names a mode that does not exist or one model mode twice.
     """
-    from scipy.optimize import linear_sum_assignment
-
     n_measured, n_model = emac.shape
     forced = _forced(override, names, n_model)
     offered = np.ones(n_model, dtype=bool) if candidates is None else np.asarray(candidates, dtype=bool)
@@ -95,12 +94,12 @@ def pair_by_shape(
     block = emac[np.ix_(rows, columns)]
     allowed = (block >= threshold) & (block > 0)
     # An excluded pair has weight 0, so dropping such pairs from the best full assignment gives the best partial one.
-    best = linear_sum_assignment(np.where(allowed, block, 0.0), maximize=True)
+    best = best_pairs(np.where(allowed, block, 0.0))
     if log_ratio is not None:
         ratio = log_ratio[np.ix_(rows, columns)]
         weight = frequency_weight(ratio, ratio[best][allowed[best]])
         allowed &= weight > 0
-        best = linear_sum_assignment(np.where(allowed, block * weight, 0.0), maximize=True)
+        best = best_pairs(np.where(allowed, block * weight, 0.0))
     kept = allowed[best]
     index[rows[best[0][kept]]] = columns[best[1][kept]]
     pair_mac, pair_emac, margin = (np.full(n_measured, np.nan) for _ in range(3))
