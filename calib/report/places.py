@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from string import ascii_uppercase
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pandas as pd
@@ -101,7 +101,8 @@ def draw_places(
                 own = {**look, **small, **({"color": GREY, "alpha": 0.55} if still and form != "support" else {})}
                 own |= {"linestyle": "none", "gid": f"fixed {form}" if still else form, "zorder": 3 if still else 4}
                 beside = _beside(some, table) if form == "damper" else np.zeros(len(some), dtype=bool)
-                for (turned, apart), alike in some.groupby([_turns(some), beside]):
+                for key, alike in some.groupby([_turns(some), beside]):
+                    turned, apart = cast(tuple[tuple[float, float], bool], key)
                     at = scene.plot_coordinates(alike[scene.PLACE].to_numpy(dtype=float)).T
                     ax.plot(*at, **{**own, "marker": _marker(form, turned, _APART if apart else 0.0)})
     at = table[scene.PLACE].to_numpy(dtype=float)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -220,7 +221,8 @@ def why_figure(
     top = 0.34 + _LINE * max(words.count("\n") + 1 for words in headings)
     below = max(0.5, 0.14 + 0.075 * max(map(len, _names(bars)), default=0))
     handles = [*(_handles(attempt) if len(bars) else []), *(_dots(table["part"], attempt) if shapes else [])]
-    foot = 0.2 * len(handles) + 0.1 if in_column() else 0.4
+    abreast = 1 if in_column() else len(handles) if len(handles) <= _ABREAST else math.ceil(len(handles) / 2)
+    foot = 0.2 * math.ceil(len(handles) / abreast) + (0.1 if in_column() else 0.2)
     panel = _PANEL * 2 + _GAP if in_column() and shapes and len(bars) else _PANEL
     figure = new_scene(len(names) * (top + panel + below) + foot, foot)
     grid = figure.add_gridspec(3 * len(names), 1, height_ratios=[top, panel, below] * len(names))
@@ -237,7 +239,6 @@ def why_figure(
             title = _explained(rows, MANY[str(rows["kind"].iloc[0])], shares)
             draw_shapes(rows, figure.add_subplot(cells["shapes"]), attempt=attempt).set_title(title)
     height = float(figure.get_size_inches()[1])
-    abreast = 1 if in_column() else len(handles)
     place = (0.1 / figure_width(), 0.06 / height)
     figure.legend(handles=handles, loc="lower left", bbox_to_anchor=place, ncols=abreast, borderaxespad=0.0)
     return figure
@@ -245,7 +246,9 @@ def why_figure(
 
 _PANEL = 2.5
 """Height in inches of the panels of an effect."""
-_GAP = 0.9
+_ABREAST = 5
+"""Most entries of the legend on a line."""
+_GAP = 0.75
 """Height in inches between those that stand over each other in a column, for labels and a title."""
 _RESIDUAL: dict[str, Any] = {"facecolor": AFTER, "alpha": 0.4}
 _LEFT: dict[str, Any] = {"linestyle": "none", "marker": "o", "color": BLACK, "markersize": 4.0}
