@@ -266,13 +266,15 @@ def test_long_tasks_are_done_by_workers_and_those_that_fail_there_here(two, monk
             raise InputError("five", place="item")
         return shared + item, os.getpid()
 
-    share = two.tasks(in_this_process)
+    heard = []
+    share = Injected(Cluster(two.executor.name, client=two.executor.client(), tell=heard.append)).tasks(in_this_process)
     found = share(task, 10, range(3), told.append)
     assert [value for value, _ in found] == [10, 11, 12] and told == sorted(told) and max(told) == 3
     assert found[0][1] == here and here not in {pid for _, pid in found[1:]}
     assert share(task, 10, [3, 3]) == [(13, here)] * 2  # its workers die
     with pytest.raises(InputError, match="five"):
         share(task, 10, [0, 5, 6])
+    assert len(heard) == 1 and WORKER_DIED in heard[0]
     assert {pid for _, pid in share(task, At(), [0, 1])} == {here}  # it needs files of this machine
     monkeypatch.setattr(cluster_tasks, "LONG", 1e9)
     assert {pid for _, pid in share(task, 10, [0, 1])} == {here}

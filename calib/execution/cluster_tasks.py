@@ -12,6 +12,7 @@ from typing import Any
 from calib.execution import tasks
 from calib.execution.cluster import Cluster
 from calib.execution.cluster_worker import library_versions, require_same
+from calib.execution.outcome import WORKER_DIED, words_of
 from calib.execution.tasks import I, R, S, Share, Told, one_thread, unreported
 
 LONG = 1.0
@@ -78,7 +79,7 @@ class ClusterTasks:
             sent = client.submit(_passed_on, content, pure=False)
         numbers: dict[str, int] = {}
         found: dict[int, R] = {}
-        lost: list[int] = []
+        lost: dict[int, Exception] = {}
         try:
             waiting = [client.submit(_done, sent, item, library_versions(), pure=False) for item in items]
             for k, future in enumerate(waiting):
@@ -92,15 +93,17 @@ class ClusterTasks:
                     future = ended.get(timeout=1.0)
                     try:
                         found[numbers[future.key]] = future.result()
-                    except Exception:  # of the task, or of its workers: here it succeeds, or fails as in this process
-                        lost.append(numbers[future.key])
+                    except Exception as fault:  # the task's, or its workers': here it succeeds, or fails in its own way
+                        lost[numbers[future.key]] = fault
                     told(len(found))
                 self._cluster.threads()  # a scheduler that is gone is told
         except BaseException:  # KeyboardInterrupt too
             with contextlib.suppress(Exception):
                 client.cancel(waiting, force=True)
             raise
-        for k in sorted(lost):
+        for k, why_not in sorted(lost.items(), key=lambda one: one[0]):
+            why = WORKER_DIED if type(why_not).__name__ == "KilledWorker" else words_of(why_not)
+            self._cluster.once("tasks", f"the cluster cannot do a task, which is done here: {why}")
             found[k] = self._by(tasks.in_this_process, function, shared, [items[k]])[0]
         return [found[k] for k in range(len(items))]
 
