@@ -227,6 +227,10 @@ def _next(
     A datum without which everything fits is no reason to doubt it before an explanation has weighed it: what a model
     lacks often shows in one mode.
     """
+    own = statistics.between
+    if own is not None and statistics.fits is False and not contradicted and own.p_fit > statistics.alpha:
+        varying = enumerated(own.table["parameter"].unique().tolist())
+        return f"Use the value that each test has of {varying}, in between_tests.csv: with these the model fits."
     if statistics.fits is False or contradicted:
         if not too_few:
             also = f" It also weighs whether the {suspected[0]} is wrong." if suspected else ""

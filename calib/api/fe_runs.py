@@ -177,8 +177,8 @@ def _checked(
         notes += (f"{words}: it may take the solver's place.",)
     else:
         warnings += (f"{words}: do not rely on it. State other powers, or stay with the solver.",)
-    told = (*terms.first.notes, *notes)
-    out = Imported(model, terms.first, worst.table, told, warnings, units, measured=True, at=worst.at)
+    found = (*terms.first.notes, *notes)
+    out = Imported(model, terms.first, worst.table, found, warnings, units, measured=True, at=worst.at)
     if to is None:
         return out
     decks, files = (

@@ -14,7 +14,7 @@ from pathlib import Path
 
 from calib.report.tables import CurrentFolder
 from calib.results.code_digest import code_digest
-from calib.results.written import is_own, whole
+from calib.results.written import is_own, replacing
 
 _FILE = "figures.sha256"
 _RECORD = "record.json"
@@ -55,7 +55,7 @@ class KeptFigures:
 
     def note(self, figures: Sequence[Path]) -> None:
         """These are all, drawn now; OSError where that cannot be noted."""
-        with whole(self._file) as draft:
+        with replacing(self._file) as draft:  # logged: a folder of several tests may hold nothing else
             draft.write_text("\n".join([self._state, *(path.name for path in figures), ""]), "utf-8")
 
     @property

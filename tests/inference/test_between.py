@@ -144,6 +144,7 @@ def test_specimens_of_own_length_share_a_spring_and_have_a_modulus_each():
     assert sum(table.loc[name, "low"] < e < table.loc[name, "high"] for name, e in true.items()) >= 5
     assert abs(table.loc[list(bars), "value"] - pd.Series(true)).max() < 1.0
     assert fit.statistics.between.p_fit > 0.01 > 1e-6 > fit.statistics.p_fit
+    assert fit.answer.then.startswith("Use the value that each test has of E, in between_tests.csv")
     assert "E varies between 6 tests" in fit.answer.sure and fit.answer.sure in " ".join(fit.lines.values())
 
 

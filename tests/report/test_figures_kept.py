@@ -1,5 +1,6 @@
 """Pictures that show what they would show again are not drawn again."""
 
+import pandas as pd
 import pytest
 
 from calib.report import figures as module
@@ -44,6 +45,13 @@ def test_unchanged_tables_draw_nothing(folder, drawn):
     before = {file: file.read_bytes() for file in folder.glob("*.png")}
     assert len(before) >= 3 and drawn() == set()
     assert {file: file.read_bytes() for file in folder.glob("*.png")} == before
+
+
+def test_a_folder_in_which_nothing_was_drawn_takes_results(tmp_path):
+    """That of several tests holds no table after a comparison, which is told test by test."""
+    KeptFigures(CurrentFolder(tmp_path, frozenset()), ()).note([])
+    assert KeptFigures(CurrentFolder(tmp_path, frozenset()), ()).there == []
+    Results.at(tmp_path.parent, tmp_path.name).write_table("verdicts", pd.DataFrame({"a": [1]}))
 
 
 @pytest.mark.medium
