@@ -28,6 +28,14 @@ def bench(monkeypatch):
     return importlib.import_module
 
 
+@pytest.mark.slow
+def test_what_lies_between_points_is_told_beside_another_kind_that_imitates_it(bench):
+    """A stop between the sensors of a plate, which two springs between pairs of sensors imitate within the noise."""
+    row = bench("generic_rates").run(1049, "")
+    assert row["scenario"] == "stop" and row["verdict"] == "indistinguishable" and row["outcome"] == "second"
+    assert any(name.startswith("spring_to_ground_near") for name in row["credible"])
+
+
 def test_growth_tells_its_exponents_to_the_table_of_speeds(bench, monkeypatch, capsys):
     growth, speed = bench("growth"), bench("speed")
 

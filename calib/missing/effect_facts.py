@@ -104,22 +104,22 @@ def detailed_fits(adapter: Adapter, found: Explanation, progress: Progress = sil
 def decided_in_detail(
     adapter: Adapter, found: Explanation, decide: Callable[[Adapter], Explanation], progress: Progress = silent
 ) -> tuple[Adapter, Explanation]:
-    """The decision again with richer members of generic effects, where one of these is named and nothing was before.
+    """The decision again with richer members of generic effects, which may lie anywhere near where they were composed.
 
     A point at which a generic effect was composed is none of the structure's: one that may lie anywhere near it is the
-    same candidate, of as many. The members replace the `DecisionRules.freed` best effects that have one, one after the
-    other until something is named, as far as these gain `DecisionRules.by_far` of what the best effect does. Otherwise
-    the adapter and the decision are as before.
+    same candidate, of as many. Where nothing was named, the members replace the `DecisionRules.freed` best effects that
+    have one, one after the other until something is named, as far as these gain `DecisionRules.by_far` of what the best
+    effect does. Where one effect was named, they replace those of another kind that come within `DecisionRules.close`
+    of it, all at once: at their own place these may explain as well. Otherwise, and where nothing is named then, the
+    adapter and the decision are as before.
     """
-    best = found.singles[0] if found.verdict in UNEXPLAINED and found.singles else None
-    if best is None or not best.effects[0].generic:
-        return adapter, found
-    least, grown, spent = RULES.by_far * found.ln_bayes(best), adapter, found.evaluations
-    near = [t for t in found.singles if found.ln_bayes(t) > least and getattr(t.effects[0], "richer", None)]
-    for one in near[: RULES.freed]:
-        progress(f"trying any place near that of {one.names[0]}")
+    rivals = _rivals(found)
+    grown, spent = adapter, found.evaluations
+    for some in [rivals] if found.names_something and rivals else [[one] for one in rivals]:
+        progress(f"trying any place near that of {' and '.join(one.names[0] for one in some)}")
         try:
-            grown = grown.richer(one.names[0], progress) or grown
+            for one in some:
+                grown = grown.richer(one.names[0], progress) or grown
             again = decide(grown)
         except (EvaluationError, InputError, ToleranceError):
             continue
@@ -127,6 +127,24 @@ def decided_in_detail(
         if again.names_something:
             return grown, replace(again, evaluations=spent)
     return adapter, found
+
+
+def _rivals(found: Explanation) -> list[CandidateFit]:
+    """Generic effects that may explain the data better, or as well as what is named, at a place of their own."""
+    best = found.chosen if found.names_something else next(iter(found.singles), None)
+    named = set(found.credible) if found.names_something else set()
+    if best is None or not best.effects[0].generic or len(best.names) > 1:
+        return []
+    if found.names_something:
+        least, own = found.ln_bayes(best) - RULES.close, best.effects[0]
+        point = getattr(own, "richer", None) is not None
+        some = [t for t in found.singles if not point or t.effects[0].magnitude.unit != own.magnitude.unit]
+    elif found.verdict in UNEXPLAINED:
+        least, some = RULES.by_far * found.ln_bayes(best), list(found.singles)
+    else:
+        return []
+    near = [t for t in some if found.ln_bayes(t) > least and getattr(t.effects[0], "richer", None)]
+    return [t for t in near if t.names[0] not in named][: RULES.freed]
 
 
 def unexplained(adapter: Adapter, found: Explanation) -> tuple[dict[str, pd.DataFrame], tuple[str, str]]:

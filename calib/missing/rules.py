@@ -51,7 +51,8 @@ class DecisionRules:
     refined : int
         Number of effects, and of pairs of effects, refitted with free integers.
     freed : int
-        Generic effects whose richer members are tried where nothing generic explains the data.
+        Most generic effects whose richer members are tried where nothing generic explains the data, or one of another
+        kind does.
     smaller_steps : tuple of float
         Parts of a step that are tried where the full step raised the sum of squares.
     least_residuals : int
