@@ -116,7 +116,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "inference/between.py": "LEAST_TESTS _GRID _LEAST _SETTLED _TURNS",
     "inference/cases.py": "FAILED",
     "inference/even_weights.py": "LIMIT MANY",
-    "inference/gauss_newton.py": "_COSTLY _HERE _NEAR _POOR _SAME",
+    "inference/gauss_newton.py": "_COSTLY _HERE _HOPELESS _NEAR _POOR _SAME",
     "inference/integers.py": "_ROUNDS",
     "measurement/frf_repeats.py": "_RANGE _NAMED",
     "measurement/partners.py": "_NEIGHBOURS",

@@ -59,6 +59,9 @@ class FitSettings:
         Whether derivatives are evaluated at the end where they were updated: standard deviations need that, a ranking
         does not.
         With ``near_end`` they may be those evaluated near it, which is enough for a verdict.
+    beaten : float
+        Sum of squares of a better fit from another start. Where each derivative costs evaluations a fit ends, without
+        having converged, when a step promises less than a thousandth of what it is above that.
     """
 
     iterations: int = 50
@@ -72,6 +75,7 @@ class FitSettings:
     costly: float = 100.0
     evaluated_end: bool = True
     near_end: bool = False
+    beaten: float = math.inf
 
 
 DEFAULT = FitSettings()
@@ -84,6 +88,8 @@ _COSTLY = 100.0
 _NEAR = 0.01
 """Part of the range within which derivatives that were evaluated hold: a step that fails so near to them, where a mode
 loses its partner, fails whatever they are (assumed)."""
+_HOPELESS = 1e-3
+"""Part of the way to a better fit below which what a step promises will not lead there (assumed)."""
 _HERE = 1e-3
 """Part of the range; a shorter step says more about the rounding of a solver than about derivatives (assumed)."""
 
@@ -263,6 +269,9 @@ def fit_steps(
             least = max(least, settings.costly * DEFAULT.gain, settings.noise * here.misfit)
         enough = promised <= least or little
         last = iteration >= settings.iterations or search.evaluations >= settings.evaluations
+        if costly and promised < _HOPELESS * (here.misfit - settings.beaten):
+            reason = f"another start ends at {settings.beaten:.4g}, and no step promises to come near it"
+            break
         # An end rests on derivatives, and so does a step that must be better.
         if updated and (poor or ((enough or last) and settings.evaluated_end)):
             within = _NEAR if poor or settings.near_end else 0.0

@@ -6,7 +6,7 @@ import itertools
 import math
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -143,7 +143,7 @@ def fit_mixed(
     walks = [_Walk(problem, space, prior, settings, refits, whole, first) for _ in starts[:least]]
     scouted = _scout(walks, starts, step)
     for k, start in enumerate(starts):
-        walk = _Walk(problem, space, prior, settings, refits, whole, first)
+        walk = _Walk(problem, space, prior, replace(settings, beaten=lowest), refits, whole, first)
         walk.step = unstepped if k < scouted else partial(_tell, step, walk, k, len(starts))
         here = finished(walk.begin(start))
         if here is not None:

@@ -373,3 +373,30 @@ def test_a_fit_that_begins_with_the_jacobian_needs_none_there():
     problem.runs = 0
     found = fit(problem, space, start, Prior.none(), slope=slope, exact=True)
     assert found.converged and found.evaluated and problem.runs == 1
+
+
+class Apart(Bent):
+    """The same once more below p0 = 2, where 900 are left of the sum of squares."""
+
+    def curve(self, values):
+        return super().curve({**values, "p0": values["p0"] + 1.2 * (values["p0"] < 2.0)})
+
+    def residual(self, values):
+        return np.append(super().residual(values), 30.0 * (values["p0"] < 2.0))
+
+    def jacobian(self, values, names):
+        return np.vstack([super().jacobian(values, names), np.zeros(len(names))])
+
+
+def test_a_start_that_cannot_come_near_a_better_one_ends_where_its_steps_promise_little():
+    space, starts = box(3, value=1.0), [{"p0": 3.8, "p1": 0.2, "p2": 3.0}, {"p0": 1.7, "p1": 1.0, "p2": 1.0}]
+    runs, found = [], None
+    for some in (starts[:1], starts[1:], starts):
+        problem = Apart(True)
+        found = fit_mixed(problem, space, some)
+        runs.append(problem.runs)
+    alone, (best, other) = fit(Apart(True), space, starts[1]), found.by_start
+    assert found.best is best and best.converged and alone.converged and not other.converged
+    assert alone.values["p0"] == pytest.approx(1.5, abs=0.02) and runs[2] < sum(runs[:2])
+    assert alone.misfit <= other.misfit < alone.misfit + 1.0 and "another start ends at" in other.reason
+    assert all(end.converged for end in fit_mixed(Apart(False), space, starts).by_start)
