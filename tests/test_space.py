@@ -98,7 +98,11 @@ def test_selecting_a_fixed_parameter_is_refused():
 def test_units_are_multiples_of_si():
     """Composed units are what the units in them make."""
     single = {"-": 1, "%": 0.01, "t": 1e3, "kg": 1, "g": 1e-3, "m": 1, "mm": 1e-3, "N": 1, "kN": 1e3, "MN": 1e6,
-              "Pa": 1, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "Hz": 1, "rad": 1, "deg": math.pi / 180, "s": 1}  # fmt: skip
+              "Pa": 1, "kPa": 1e3, "MPa": 1e6, "GPa": 1e9, "Hz": 1, "rad": 1, "deg": math.pi / 180, "s": 1,
+              "in": 0.0254, "ft": 0.3048, "lb": 0.45359237}  # fmt: skip
+    single["lbf"] = single["lb"] * 9.80665
+    single["kip"] = 1e3 * single["lbf"]
+    single |= {"psi": single["lbf"] / single["in"] ** 2, "ksi": single["kip"] / single["in"] ** 2}
     symbol = re.compile(f"({'|'.join(sorted(map(re.escape, single), key=len, reverse=True))})([234]?)")
     assert SI_FACTORS["ms"] == 1e-3  # beside which Nms reads as three units
     for unit, factor in SI_FACTORS.items():
