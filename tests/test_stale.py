@@ -214,6 +214,17 @@ def test_a_model_that_is_not_deterministic_is_told_at_its_first_run(powers, caps
     assert "not deterministic" in told(capsys, verb, "powers", "--workers", "1")
 
 
+@pytest.mark.parametrize("taken", [0, 1])
+def test_a_failure_that_passes_is_no_stale_point(powers, capsys, taken):
+    """The first call fails, as where a licence is taken, or the second."""
+    powers(
+        "lambda values: {'y': values['a'] / float(next(CALLS) != TAKEN), 'z': values['b']}",
+        f"import itertools\nCALLS, TAKEN = itertools.count(), {taken}",
+    )
+    said = told(capsys, "calibrate", "powers", "--workers", "1")
+    assert "retry" in said and "calib again" in said and "stale" not in said
+
+
 def test_a_slow_model_that_is_not_deterministic_is_told_when_its_best_point_is_asked_anew(powers, capsys, monkeypatch):
     monkeypatch.setattr("calib.analyses.provenance.stored.CHEAP", 0.0)
     powers("lambda values: {'y': values['a'] + DRAW.random(), 'z': values['b']}", "DRAW = np.random.default_rng(1)")

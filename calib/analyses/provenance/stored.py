@@ -67,8 +67,17 @@ def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
     different = _difference(study, known, fresh)
     if different is None:
         return fresh.seconds
-    again = reevaluated(problem, known.values)
     point = point_label(study.sensitivity_space, known.values)
+    if (known.status == "failed") != (fresh.status == "failed"):
+        failed = f"failed ({(known.error or fresh.error)})"
+        order = (failed, "gives a result") if known.error else ("gave a result", failed)
+        raise InputError(
+            f"evaluated twice at {point}, the model first {order[0]} and then {order[1]}", place=study.file,
+            remedy="where a failure passes, such as a licence that is taken, let calib wait for it, retry = "
+            '{ pattern = "LICENSE" }, and evaluate failed points once more by calib again; otherwise the model depends on '
+            "more than its values",
+        )  # fmt: skip
+    again = reevaluated(problem, known.values)
     unsteady = _difference(study, fresh, again)
     if unsteady is not None:
         raise InputError(
