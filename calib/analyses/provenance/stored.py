@@ -74,8 +74,8 @@ def confirm(study: LoadedStudy, ledger: Ledger, known: Outcome) -> float:
         raise InputError(
             f"evaluated twice at {point}, the model first {order[0]} and then {order[1]}", place=study.file,
             remedy="where a failure passes, such as a licence that is taken, let calib wait for it, retry = "
-            '{ pattern = "LICENSE" }, and evaluate failed points once more by calib again; otherwise the model depends on '
-            "more than its values",
+            '{ pattern = "LICENSE" }, and evaluate failed points once more by calib again; otherwise the model '
+            "depends on more than its values",
         )  # fmt: skip
     again = reevaluated(problem, known.values)
     unsteady = _difference(study, fresh, again)
