@@ -73,9 +73,22 @@ class ReducedMatrix:
     size: int
     blocks: tuple[ReducedTerm, ...]
     vectors: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
+    _last: list[tuple[Mapping[str, float], np.ndarray]] = field(init=False, repr=False, default_factory=list)
 
     def __call__(self, si: Mapping[str, float]) -> np.ndarray:
-        """The matrix at parameters in SI, (size, size)."""
+        """The matrix at parameters in SI, (size, size), read-only; the last one is kept.
+
+        Modes, energies and derivatives at a point ask for it four times.
+        """
+        for known, matrix in self._last:
+            if known == si:
+                return matrix
+        out = self._assembled(si)
+        out.flags.writeable = False
+        self._last[:] = [(dict(si), out)]
+        return out
+
+    def _assembled(self, si: Mapping[str, float]) -> np.ndarray:
         out, triangle = np.zeros((self.size, self.size)), np.zeros(self.size * (self.size + 1) // 2)
         for term, block in zip(self.affine.terms, self.blocks, strict=True):
             factor = term.coefficient(si)
