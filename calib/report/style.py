@@ -76,7 +76,8 @@ _POWER = re.compile(r"\$\\mathdefault\{[^$]*\}\$")
 """Tick label that Matplotlib itself writes at a logarithmic axis."""
 
 _TOGETHER = re.compile(
-    r" (?=[=≤≥<>±−] |\([–%σ]\))|(?<= [=≤≥<>±−]) |(?<=\d) (?=[%σ]|Hz\b)|(?<=\d,) (?=[+−]?\d)|(?<=\)) (?=m\b)"
+    r" (?=[=≤≥<>±−] |\([–%σ]\))|(?<= [=≤≥<>±−]) "  # signs between words, and a unit in brackets
+    r"|(?<=\d) (?=[%σ]|Hz\b|[A-Za-z][A-Za-z/]{0,7}$)|(?<=\d,) (?=[+−]?\d)|(?<=\)) (?=m\b)"
 )
 """Spaces within coordinates, or a number with what belongs to it, at which no line ends."""
 

@@ -87,6 +87,7 @@ def test_a_long_label_is_broken():
             44,
             ["at (+2.00, −0.20, 0.00) and", "(+2.00, +0.20, 0.00) m"],
         ),
+        ("front roof unit on soft mounts, 0.875 rad/kNm", 40, ["front roof unit on soft mounts,", "0.875 rad/kNm"]),
         ("0.1 = 0.2 = 0.3", 5, ["0.1 =", "0.2 =", "0.3"]),
     ],
 )
