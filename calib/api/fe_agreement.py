@@ -76,7 +76,8 @@ def against(
                 "Where beams and shells became solids, a node may move otherwise than the mean of its layers."
             )
         return out, notes, (f"{words}{more}. {remedy}",)
-    return out, (*notes, f"{words}: the imported model has the code's own modes."), ()
+    which = "modes" if np.isfinite(least) else "frequencies"
+    return out, (*notes, f"{words}: the imported model has the code's own {which}."), ()
 
 
 def _paired(found: pd.DataFrame, modes: Modes, code: MeasuredModes, shapes: np.ndarray) -> pd.DataFrame:

@@ -175,6 +175,10 @@ def comparison_figure(
     return figure
 
 
+_MODEL_MODES = 30
+"""Model modes in a matrix of MAC: more cannot be read."""
+
+
 def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     """Draw the MAC of every measured mode with every model mode as a matrix with the values in the cells.
 
@@ -182,9 +186,14 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
     ----------
     table : DataFrame
         Column ``mode`` and one column for every model mode, headed like ``1 (10.83 Hz)``; cells 0 to 1.
+        Of more than `_MODEL_MODES` those are drawn that have the largest MAC with a measured one.
     ax : Axes, optional
     """
     values = table.drop(columns="mode").to_numpy(dtype=float)
+    total = values.shape[1]
+    if total > _MODEL_MODES:
+        kept = np.sort(np.argsort(-np.nan_to_num(values).max(axis=0), kind="stable")[:_MODEL_MODES])
+        table, values = table[["mode", *table.columns.drop("mode")[kept]]], values[:, kept]
     rows, columns = values.shape
     ax = style.own_axes(ax, style.matrix_height(rows, columns))
     image = ax.imshow(values, cmap="Blues", norm=Normalize(0.0, 1.0), aspect="auto")
@@ -195,7 +204,9 @@ def draw_mac_matrix(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         ax.text(j, i, f"{value:.2f}", ha="center", va="center", fontsize=size, color=shade)
     ax.set_xticks(range(columns), [str(c) for c in table.columns if c != "mode"], rotation=90 if columns > 6 else 0)
     ax.set_yticks(range(rows), table["mode"].astype(str))
-    ax.set_xlabel("model mode")
+    ax.set_xlabel(
+        "model mode" if columns == total else f"model mode, the {columns} of {total} most like a measured one"
+    )
     ax.set_ylabel("measured mode")
     names = [str(c) for c in table.columns if c != "mode"]
     hover_cells(

@@ -142,3 +142,13 @@ def test_a_given_axes_is_drawn_on_and_returned(before, mac, comac):
     ):
         ax = new_figure(3.0).add_subplot()
         assert draw(table, ax=ax) is ax
+
+
+def test_of_hundreds_of_model_modes_a_matrix_draws_those_like_a_measured_one():
+    mac = np.full((2, 200), 0.01)
+    mac[0, 7], mac[1, 190] = 0.9, 0.8
+    ax = draw_mac_matrix(pd.DataFrame(mac, columns=[str(k) for k in range(200)]).assign(mode=["A", "B"]))
+    ticks = [label.get_text() for label in ax.get_xticklabels()]
+    drawn = np.asarray(ax.images[0].get_array())
+    assert {"7", "190"} <= set(ticks) and len(ticks) < 50 and ticks == sorted(ticks, key=int)
+    assert drawn[0, ticks.index("7")] == 0.9 and drawn[1, ticks.index("190")] == 0.8 and "of 200" in ax.get_xlabel()
