@@ -19,7 +19,7 @@ _FIT = (8, 4)
 """Runs for modes from one start to its end, and more of them for each parameter: the geometric mean of 21 and 26, which
 the frame in CalculiX takes with its four without and with a stated accuracy."""
 _EXPLAIN = (36, 12)
-"""The same of an explanation from a calibrated model, of 80 and 89."""
+"""The same of an explanation from a calibrated model, of 81 and 89."""
 _EFFECT = 25
 """Runs for a listed effect that is fitted; assumed."""
 _AGREE = 6

@@ -346,7 +346,7 @@ def test_what_a_solver_will_be_started_for_is_told(tmp_path):
         ledger.append(loaded.problem.ledger_key, [outcome])
         assert "3.2 min" in runs_ahead(loaded, ledger, "calibrate", 1)
         explained = runs_ahead(loaded, ledger, "explain", 2)
-        assert "about 60 times" in explained and "3.0 min with 2 at once" in explained
+        assert "about 60 times" in explained and ": 3 min with 2 at once" in explained
         assert "500 samples" in runs_ahead(loaded, ledger, "sensitivity", 1)
         front = ParetoSettings(population=10, generations=7)
         assert "about 70 times: 7 generations of 10" in runs_ahead(loaded, ledger, "pareto", 1, front=front)
