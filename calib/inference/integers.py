@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Generator, Mapping, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence, Sized
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -144,7 +144,9 @@ def fit_mixed(
     scouted = _scout(walks, starts, step)
     for k, start in enumerate(starts):
         walk = _Walk(problem, space, prior, replace(settings, beaten=lowest), refits, whole, first)
-        walk.step = unstepped if k < scouted else partial(_tell, step, walk, k, len(starts))
+        # not the walk itself: a cycle would keep its problem, and the basis of that, until Python collects garbage
+        told = partial(_tell, step, walk.tried, refits if whole else 1, k, len(starts))
+        walk.step = unstepped if k < scouted else told
         here = finished(walk.begin(start))
         if here is not None:
             lowest = min(lowest, here.misfit)
@@ -199,10 +201,9 @@ def _scout(walks: Sequence[_Walk], starts: Sequence[Mapping[str, float]], step: 
     return len(walks)
 
 
-def _tell(step: Step, walk: _Walk, start: int, starts: int, share: float) -> None:
+def _tell(step: Step, tried: Sized, expected: int, start: int, starts: int, share: float) -> None:
     """Tell the share of all fits that is behind."""
-    expected = walk.refits if walk.whole else 1
-    step((start + min((len(walk.tried) + share) / expected, 1.0)) / starts)
+    step((start + min((len(tried) + share) / expected, 1.0)) / starts)
 
 
 @dataclass(eq=False)

@@ -1,6 +1,8 @@
 """Fits with integer parameters: steps of integers beside least squares, and what is refused."""
 
+import gc
 import math
+import weakref
 from dataclasses import dataclass
 
 import numpy as np
@@ -64,6 +66,18 @@ def test_two_integers_that_only_move_together():
 
     found = fit_mixed(Trade(), STATIONS, [{"a": 3.0, "b": 5.0}])
     assert (found.best.values["a"], found.best.values["b"]) == (6.0, 2.0)
+
+
+def test_a_problem_that_was_fitted_is_freed_at_once():
+    problem = Stations()
+    gone = weakref.ref(problem)
+    gc.disable()  # a collection would free it in a cycle too, but late: it may hold a large basis
+    try:
+        fit_mixed(problem, STATIONS, [{}, {"a": 8.0, "b": 8.0}])
+        del problem
+        assert gone() is None
+    finally:
+        gc.enable()
 
 
 def test_refits_are_bounded_and_reported():
