@@ -43,16 +43,18 @@ def loaded_study(
         Further options with which the command is given again once it was interrupted.
     """
     gc.disable()  # what is imported stays: the collector's passes over it, at the exit too, would take 0.1 s
-    from calib.api.study import Study
-    from calib.command.printing import printing, tell_cache
-    from calib.execution.executor import Injected
-    from calib.execution.tasks import one_thread
-    from calib.results.running import RunningNote
-    from calib.structure.reduction.cache import using
-    from calib.study.study_file import study_file
-
-    gc.freeze()
-    gc.enable()
+    try:
+        from calib.api.study import Study
+        from calib.command.printing import printing, tell_cache
+        from calib.execution.executor import Injected
+        from calib.execution.tasks import one_thread
+        from calib.results.running import RunningNote
+        from calib.structure.reduction.cache import using
+        from calib.study.study_file import study_file
+    finally:
+        if not gc.get_freeze_count():  # once, or what a process leaves from study to study would stay too
+            gc.freeze()
+        gc.enable()
     options = {"workers": workers, "quick": quick, "case": case, "method": method, "executor": executor}
     file = study_file(path)
     home, given = results / file.resolve().parent.name, {name: value for name, value in options.items() if value}
