@@ -15,7 +15,7 @@ from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
 from calib.experiment import ModalTest
 from calib.imports.elements import Edge
-from calib.imports.fe_modes import lines_of, read_fe_modes
+from calib.imports.fe_modes import element_lines, read_fe_modes
 from calib.measurement.files.read import read_modes
 from calib.measurement.modal import DIRECTIONS, MeasuredModes, Sensor
 from calib.measurement.partners import NodePartners, node_partners
@@ -110,7 +110,7 @@ def compare_modes(
             place=computed.source or "modes", remedy="compute at least as many, better twice as many",
         )  # fmt: skip
     files = [None if one is None or isinstance(one, MeasuredModes) else Path(one) for one in (modes, coordinates)]
-    model, partners = model_of_modes(computed, test.measured, test.node_limit, lines_of(files))
+    model, partners = model_of_modes(computed, test.measured, test.node_limit, element_lines(files))
     found = compared(_problem(model, test), None)
     by_test = {name: _with_own_numbers(answer, partners) for name, answer in found.by_test.items()}
     sides = {"measured (--sensors)": test.measured.sensors, "computed (--coordinates)": computed.sensors}

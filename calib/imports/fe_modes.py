@@ -101,7 +101,7 @@ def read_fe_modes(
     return replace(found, shapes=_beside_rotations(found, metres))
 
 
-def lines_of(files: Iterable[Path | None]) -> list[Edge]:
+def element_lines(files: Iterable[Path | None]) -> list[Edge]:
     """Edges of the elements in the first of some files that has any: .frd, mesh (.unv, .msh) or deck; else none."""
     for file in files:
         suffix = "" if file is None else file.suffix.lower()

@@ -6,7 +6,7 @@ import pytest
 
 from calib.imports.coordinates import read_coordinates
 from calib.imports.elements import element_sets, elements, held_motions, read_edges
-from calib.imports.fe_modes import lines_of
+from calib.imports.fe_modes import element_lines
 from calib.imports.matrices import read_matrices
 
 EXPORTS = Path(__file__).parent / "exports"
@@ -23,8 +23,11 @@ def test_edges_of_an_exported_deck_join_nodes_that_have_rows():
 @pytest.mark.parametrize("name", ["solid", "shell"])
 def test_edges_of_a_file_of_modes_are_those_of_its_deck(name):
     deck = set(map(frozenset, read_edges((EXPORTS / f"{name}.inp").read_text())))
-    assert deck and set(map(frozenset, lines_of([None, EXPORTS / f"{name}_modes.frd"]))) == deck
-    assert lines_of([EXPORTS / "solid_modes.dat", EXPORTS / f"{name}.inp"]) and not lines_of([Path("absent.frd")])
+    assert deck and set(map(frozenset, element_lines([None, EXPORTS / f"{name}_modes.frd"]))) == deck
+    assert element_lines([EXPORTS / "solid_modes.dat", EXPORTS / f"{name}.inp"])
+    assert not element_lines([Path("absent.frd")])
+        [Path("absent.frd")]
+    )
 
 
 @pytest.mark.parametrize(
