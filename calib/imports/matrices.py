@@ -228,25 +228,17 @@ def matrix_kind(name: str) -> str:
     return ""
 
 
-def sized(one: Stored) -> str:
-    """Name of a matrix with its number of rows, such as ``KAA:46``, for files of several superelements."""
-    return f"{one.name}:{one.matrix.shape[0]}"
-
-
 def _sorted_out(
     stored: Sequence[tuple[Path, Stored]], chosen: Mapping[str, Sequence[str]]
 ) -> tuple[dict[Kind, dict[str, Stored]], tuple[str, ...]]:
     """Matrices by kind and name; InputError where stiffness or mass is missing, or a chosen name is."""
     out: dict[Kind, dict[str, Stored]] = {kind: {} for kind in KINDS}
     left = []
-    called = [
-        (one, {one.name.lower(), sized(one).lower(), file.name.lower(), file.stem.lower()}, file)
-        for file, one in stored
-    ]
+    called = [(one, {n.lower() for n in (one.name, one.sized, file.name, file.stem)}, file) for file, one in stored]
     if not called:
         raise InputError("none of them holds a matrix", place="files", remedy="give those of stiffness and mass")
     count = Counter(one.name for one, _, _ in called)
-    listed = ", ".join(dict.fromkeys(one.name if count[one.name] == 1 else sized(one) for one, _, _ in called))
+    listed = ", ".join(dict.fromkeys(one.name if count[one.name] == 1 else one.sized for one, _, _ in called))
     for kind in KINDS:
         for name in chosen.get(kind, ()):
             found = [one for one, names, _ in called if name.lower() in names]
@@ -258,19 +250,17 @@ def _sorted_out(
     for one, _, file in called:
         if id(one) in taken:
             continue
-        if taken and count[one.name] > 1 and one.matrix.shape[0] not in taken.values():  # of another superelement
-            left.append(sized(one))
-            continue
-        kind_found = matrix_kind(one.name) or matrix_kind(file.stem)
+        other_model = taken and count[one.name] > 1 and one.matrix.shape[0] not in taken.values()
+        kind_found = "" if other_model else matrix_kind(one.name) or matrix_kind(file.stem)
         if kind_found in KINDS and not chosen.get(kind_found):
             known: Kind = kind_found
-            if one.name in out[known]:
-                sizes = " and ".join(str(each.matrix.shape[0]) for each in (out[known][one.name], one))
-                remedy = f"choose a model by its number of rows, such as --{known} {sized(one)}, or give its file alone"
-                raise InputError(f"there are two matrices {one.name!r}, of {sizes} rows", place=file, remedy=remedy)
+            if (other := out[known].get(one.name)) is not None:
+                words = f"two matrices {one.name!r}, of {other.matrix.shape[0]} and {one.matrix.shape[0]} rows"
+                remedy = f"choose a model by its number of rows, such as --{known} {one.sized}, or give its file alone"
+                raise InputError(f"there are {words}", place=file, remedy=remedy)
             out[known][one.name] = one
         else:
-            left.append(f"{one.name} ({kind_found})" if kind_found else one.name)
+            left.append(one.sized if other_model else f"{one.name} ({kind_found})" if kind_found else one.name)
     for kind in ("stiffness", "mass"):
         if not out[kind]:
             raise _without(kind, stored, left)

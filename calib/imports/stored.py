@@ -39,6 +39,11 @@ class Stored:
     labels: np.ndarray | None = None
     open_ended: bool = False
 
+    @property
+    def sized(self) -> str:
+        """Its name with its number of rows, such as ``KAA:46``, for files of several superelements."""
+        return f"{self.name}:{self.matrix.shape[0]}"
+
 
 def counted_from_one(
     name: str, rows: np.ndarray, columns: np.ndarray, values: np.ndarray, place: Path | str, size: int | None = None

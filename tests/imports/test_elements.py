@@ -26,8 +26,6 @@ def test_edges_of_a_file_of_modes_are_those_of_its_deck(name):
     assert deck and set(map(frozenset, element_lines([None, EXPORTS / f"{name}_modes.frd"]))) == deck
     assert element_lines([EXPORTS / "solid_modes.dat", EXPORTS / f"{name}.inp"])
     assert not element_lines([Path("absent.frd")])
-        [Path("absent.frd")]
-    )
 
 
 @pytest.mark.parametrize(
