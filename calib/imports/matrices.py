@@ -24,7 +24,7 @@ from calib.imports.meshes import MESHES, has_elements, read_element_mesh
 from calib.imports.nastran import is_dmig, read_dmig
 from calib.imports.op2 import is_op2, read_op2_matrices
 from calib.imports.op4 import is_op4, read_op4
-from calib.imports.stored import Stored, counted_from_one, named, spread, stored_numbers
+from calib.imports.stored import Stored, counted_from_one, matrix_kind, named, spread, stored_numbers
 from calib.imports.systems import all_motions, analysis_set, axes_of, is_bulk, turned_into_global
 from calib.measurement.files.read import UFF_SUFFIXES
 from calib.measurement.places import Point
@@ -32,13 +32,6 @@ from calib.measurement.places import Point
 Kind = Literal["stiffness", "mass", "damping"]
 KINDS: tuple[Kind, ...] = ("stiffness", "mass", "damping")
 
-_WORDS: Mapping[str, str] = {
-    "structural damping": r"k4\w*|dmps\w*",
-    "stiffness": r"k|matk|k(aa|gg|ff|ll|jj|nn|xx)x?|k2gg|kred|sti\w*|steif\w*|rigid\w*",
-    "mass": r"m|matm|m(aa|gg|ff|ll|jj|nn|xx)x?|m2gg|mred|mas\w*",
-    "damping": r"c|b|d|matc|matd|b(aa|gg|ff|ll|jj|nn|xx)x?|b2gg|dam\w*|dmp\w*|amor\w*",
-}
-"""Words in the names of files and matrices that tell what they are."""
 _PENALTY = 1e18
 """Diagonal over the median one of a row that a support holds by a large number, such as 1e36."""
 
@@ -216,16 +209,6 @@ def _stored(file: Path, raw: bytes, text: str, lines: list[str]) -> tuple[list[S
         return [counted_from_one(name, table[:, 0].astype(int), table[:, 1].astype(int), table[:, 2], file)], ()
     labels = table[:, :4].astype(int)
     return [named(name, labels[:, :2], labels[:, 2:], table[:, 4], file)], ()
-
-
-def matrix_kind(name: str) -> str:
-    """What a matrix is, by the longest word in its name that tells it; empty where none does."""
-    words = re.findall(r"[a-z]+\d*[a-z]*", name.lower())
-    for word in sorted(words, key=len, reverse=True):
-        for kind, pattern in _WORDS.items():
-            if re.fullmatch(rf"({pattern})\d*", word) and (len(word) > 1 or word in "km" or len(words) == 1):
-                return kind
-    return ""
 
 
 def _sorted_out(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -15,6 +15,13 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 
 BASE = "rows and columns are counted from 1"
+_WORDS: Mapping[str, str] = {
+    "structural damping": r"k4\w*|dmps\w*",
+    "stiffness": r"k|matk|k(aa|gg|ff|ll|jj|nn|xx)x?|k2gg|kred|sti\w*|steif\w*|rigid\w*",
+    "mass": r"m|matm|m(aa|gg|ff|ll|jj|nn|xx)x?|m2gg|mred|mas\w*",
+    "damping": r"c|b|d|matc|matd|b(aa|gg|ff|ll|jj|nn|xx)x?|b2gg|dam\w*|dmp\w*|amor\w*",
+}
+"""Words in the names of files and matrices that tell what they are."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,3 +163,13 @@ def stored_numbers(text: str, count: Sequence[int], place: Path) -> np.ndarray:
             remedy="whole numbers name row and column; it may be cut off",
         )  # fmt: skip
     return out
+
+
+def matrix_kind(name: str) -> str:
+    """What a matrix is, by the longest word in its name that tells it; empty where none does."""
+    words = re.findall(r"[a-z]+\d*[a-z]*", name.lower())
+    for word in sorted(words, key=len, reverse=True):
+        for kind, pattern in _WORDS.items():
+            if re.fullmatch(rf"({pattern})\d*", word) and (len(word) > 1 or word in "km" or len(words) == 1):
+                return kind
+    return ""

@@ -36,29 +36,25 @@ class FitSettings:
     ----------
     iterations : int
         Largest number of accepted steps.
-    gain : float
+    gain, relative : float
         Converged when the predicted decrease of the sum of squares (whitened: 1e-4 is a hundredth of a posterior
-        standard deviation) by the undamped step is below this, or below ``relative`` times the sum of squares.
-    relative : float
-        The same relative to the sum of squares.
+        standard deviation) by the undamped step is below ``gain``, or below ``relative`` times the sum of squares.
     damping : float
         Initial damping over the largest curvature.
     rejections : int
         Largest number of consecutive steps that fail to lower the sum of squares.
-    noise : float
+    noise, noisy_rejections : float, int
         Predicted decrease over the sum of squares up to which such a failure counts as noise of the model, as of a
         solver that prints seven digits: the fit has converged, and after ``noisy_rejections`` no more are tried.
-    noisy_rejections : int
     evaluations : float
         Number of residuals after which no further step is tried.
     costly : float
-        Factor of ``gain`` and ``noise`` where each derivative costs evaluations. Such a fit has converged, too, when a
-        step promises no more than ``noise`` times the sum of squares, or when a step from evaluated derivatives lowers
-        it by no more.
+        Factor of ``gain`` and ``noise``, of the latter twice for failures, where each derivative costs evaluations
+        (assumed). Such a fit has converged, too, when a step promises no more than ``noise`` times the sum of squares,
+        or when a step from evaluated derivatives lowers it by no more.
     evaluated_end : bool
         Whether derivatives are evaluated at the end where they were updated: standard deviations need that, a ranking
-        does not.
-        With ``near_end`` they may be those evaluated near it, which is enough for a verdict.
+        does not. With ``near_end`` they may be those evaluated near it, which is enough for a verdict.
     beaten : float
         Sum of squares of a better fit from another start. Where each derivative costs evaluations a fit ends, without
         having converged, when a step promises less than a thousandth of what it is above that.
@@ -83,8 +79,6 @@ _POOR = 0.25
 """Actual over predicted decrease below which derivatives that were updated are evaluated again."""
 _SAME = 0.1
 """Part of a step that failed by which another must differ to be worth an evaluation."""
-_COSTLY = 100.0
-"""Factor of the noise below which few failures end a fit where each derivative costs evaluations; assumed."""
 _NEAR = 0.01
 """Part of the range within which derivatives that were evaluated hold: a step that fails so near to them, where a mode
 loses its partner, fails whatever they are (assumed)."""
@@ -151,10 +145,7 @@ class FitResult:
 
     @property
     def history(self) -> pd.DataFrame:
-        """``iteration, misfit, data_misfit, prior_misfit, step, damping``.
-
-        ``step`` is the largest change over the range.
-        """
+        """``iteration, misfit, data_misfit, prior_misfit, step, damping``; a step over the range, its largest."""
         columns = ["iteration", "misfit", "data_misfit", "prior_misfit", "step", "damping"]
         return pd.DataFrame(list(self.steps), columns=columns)
 
@@ -187,10 +178,9 @@ def fit(
     Where a problem says that derivatives are differences (``by_differences``), each of which costs evaluations, the
     Jacobian is updated after every step by what the residual there says (Broyden 1965). It is evaluated at the start,
     where a step fails or gains much less than predicted (near a point where that was done it is taken from there), and
-    at the end.
-    Every step is the exact minimum of the damped quadratic model within all limits and
-    constraints (least distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible.
-    Integer parameters stay at their start.
+    at the end. Every step is the exact minimum of the damped quadratic model within all limits and constraints (least
+    distance programming, Lawson and Hanson 1974, ch. 23), so every point tried is feasible. Integer parameters stay at
+    their start.
 
     Parameters
     ----------
@@ -291,8 +281,9 @@ def fit_steps(
         mu = mu or settings.damping * float(np.max(np.sum(matrix**2, axis=0)))
         there = None
         move = region.step(matrix, right, mu, here.x)
-        noise = settings.noise * (settings.costly if costly else 1.0)
-        noisy, failed = promised <= (_COSTLY if costly else 1.0) * noise * here.misfit, 0
+        factor = settings.costly if costly else 1.0
+        noise = settings.noise * factor
+        noisy, failed = promised <= factor * noise * here.misfit, 0
         poor = False
         while there is None and rejected < settings.rejections and search.evaluations < settings.evaluations:
             if noisy and failed == settings.noisy_rejections:

@@ -11,6 +11,8 @@ from calib.errors.arguments import number
 from calib.errors.errors import InputError
 from calib.problem.prior import Density
 
+_INCH, _POUND, _FORCE = 0.0254, 0.45359237, 0.45359237 * 9.80665
+"""m, kg and N (NIST SP 811); the force is the weight of a pound."""
 SI_FACTORS: Mapping[str, float] = {
     "-": 1.0,
     "%": 0.01,
@@ -57,24 +59,12 @@ SI_FACTORS: Mapping[str, float] = {
     "deg": math.pi / 180,
     "s": 1.0,
     "ms": 1e-3,
-    "in": 0.0254,
-    "ft": 0.3048,
-    "in2": 0.0254**2,
-    "in4": 0.0254**4,
-    "lb": 0.45359237,
-    "lbfs2/in": 4.4482216152605 / 0.0254,
-    "lb/in3": 0.45359237 / 0.0254**3,
-    "lbfs2/in4": 4.4482216152605 / 0.0254**4,
-    "lbf": 4.4482216152605,
-    "kip": 4448.2216152605,
-    "lbf/in": 4.4482216152605 / 0.0254,
-    "kip/in": 4448.2216152605 / 0.0254,
-    "lbfs/in": 4.4482216152605 / 0.0254,
-    "psi": 4.4482216152605 / 0.0254**2,
-    "ksi": 4448.2216152605 / 0.0254**2,
-}
+    "in": _INCH, "ft": 12 * _INCH, "in2": _INCH**2, "in4": _INCH**4, "lb": _POUND, "lb/in3": _POUND / _INCH**3,
+    "lbf": _FORCE, "kip": 1e3 * _FORCE, "lbf/in": _FORCE / _INCH, "kip/in": 1e3 * _FORCE / _INCH,
+    "lbfs/in": _FORCE / _INCH, "lbfs2/in": _FORCE / _INCH, "lbfs2/in4": _FORCE / _INCH**4,
+    "psi": _FORCE / _INCH**2, "ksi": 1e3 * _FORCE / _INCH**2,
+}  # fmt: skip
 """Factor from the named unit to SI."""
-
 
 Distribution = Literal["uniform", "fixed"]
 Scale = Literal["linear", "log"]

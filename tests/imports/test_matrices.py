@@ -14,7 +14,8 @@ import scipy.sparse as sp
 
 import calib
 from calib.errors.errors import InputError
-from calib.imports.matrices import matrix_kind, read_matrices
+from calib.imports.matrices import read_matrices
+from calib.imports.stored import matrix_kind
 
 EXPORTS = Path(__file__).parent / "exports"
 
