@@ -31,8 +31,8 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency", "frf": "FRFs"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
-_TITLE = 24
-"""Letters of a line above a panel in a column."""
+_TITLE, _TITLE_COLUMN = 32, 19
+"""Letters of a line above one of two panels, on a page and in a column."""
 _COLOURS = (style.AFTER, style.WITH, style.PURPLE, style.ORANGE, style.SKY)
 
 
@@ -97,8 +97,8 @@ def draw_where_it_fails(
     ax.set_yticks(range(len(modes)), [_row_name(table, str(mode)) for mode in modes])
     style.separate_cells(ax, len(modes), len(kinds))
     title = style.added(stage, name).replace(": ", ":\n")
-    if style.in_column():
-        title = textwrap.fill(title, _TITLE)
+    width = _TITLE_COLUMN if style.in_column() else _TITLE
+    title = "\n".join(textwrap.fill(line, width) for line in title.splitlines())
     ax.set_title(title, color=style.GREY if is_attempt else style.BLACK)
     if is_attempt:
         for text in ax.texts:
