@@ -182,7 +182,7 @@ def alike_words(places: pd.DataFrame, effect: str) -> str:
     """Name the local perturbation of `most_alike`; empty where no perturbation has coordinates."""
     best = most_alike(places, effect)
     if best is None:
-        none = "no local stiffness or mass change changes the data as it does"
+        none = "No local stiffness or mass change changes the data as it does"
         return "" if located_rows(places, effect).empty else none
     return f"{best['perturbation']} ({best['kind']}, ρ = {fixed(best['correlation'], 2, sign=True)})"
 

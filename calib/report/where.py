@@ -278,7 +278,7 @@ def perturbation_map_figure(table: pd.DataFrame, rest: np.ndarray) -> Figure:
     best = best_perturbations(table)
     named = [_in_words(n, row) for n, row in enumerate(best.to_dict("records"), start=1)]
     heading = "largest scores (γ: not explained):"
-    words = "\n".join([heading, *named]) if named else "no local stiffness or mass change has a score"
+    words = "\n".join([heading, *named]) if named else "No local stiffness or mass change has a score"
     words += "\n×  explained by parameters" if table["score"].isna().any() else ""
     # The list stands above the colour bar, in the place of a panel where one is free.
     free = count * columns > len(kinds) and not in_column()
