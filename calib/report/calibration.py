@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from calib.report.comparison import LEAST_MAC_ERROR
-from calib.report.numbers import flag, short, significant, with_unit
+from calib.report.numbers import flag, significant, with_unit
 from calib.report.parameters import position
 from calib.report.style import (
     CASES,
@@ -261,7 +261,7 @@ def draw_convergence(table: pd.DataFrame, ax: Axes | None = None) -> Axes:
         best, mean = (finite.loc[rows.index, column].to_numpy() for column in ("best", "mean"))
         line_style = _LINE_STYLES[k // len(CASES) % len(_LINE_STYLES)]
         last = best[np.isfinite(best)]
-        label = f"{case} (ends at {short(last[-1])})" if len(last) else f"{case} (no feasible point)"
+        label = f"{case} (ends at {significant(last[-1], 3)})" if len(last) else f"{case} (no feasible point)"
         marker = "o" if len(best) == 1 else ""
         looks: dict[str, Any] = {"color": colour, "linewidth": 1.9, "marker": marker, "zorder": 3}
         (line,) = ax.plot(generation, best, line_style, label=label, **looks)

@@ -307,7 +307,10 @@ def _ticks(axis: Axis, inside: bool) -> list[Text]:
     """Labels of ticks inside the limits of an axis, or beyond them, where they are not drawn."""
     low, high = sorted(axis.get_view_interval())
     reach = 1e-6 * (high - low)
-    found = zip(axis.get_majorticklocs(), axis.get_majorticklabels(), strict=False)
+    found = [
+        *zip(axis.get_majorticklocs(), axis.get_majorticklabels(), strict=False),
+        *zip(axis.get_minorticklocs(), axis.get_minorticklabels(), strict=False),
+    ]
     return [label for at, label in found if (low - reach <= at <= high + reach) == inside]
 
 

@@ -109,7 +109,7 @@ def test_lines_are_the_misfits(convergence):
     # rows in any order are drawn by generation; a generation without a feasible point is a gap
     np.testing.assert_array_equal(best["GB2"].get_xdata(), [0, 1, 2])
     np.testing.assert_array_equal(best["GB2"].get_ydata(), [np.nan, 0.6, 0.3])
-    assert legend(ax) == ["GB1 (ends at 0.25)", "GB2 (ends at 0.3)", "mean of the generation"]
+    assert legend(ax) == ["GB1 (ends at 0.250)", "GB2 (ends at 0.300)", "mean of the generation"]
     means = [line.get_ydata() for line in ax.lines if line.get_linestyle() == "--" and len(line.get_xdata())]
     np.testing.assert_array_equal(means, [[2.0, 1.0, 0.5], [np.nan, 1.2, 0.6]])
 
