@@ -226,6 +226,7 @@ WORDS = {  # lengths of lists and lines, and the levels that sentences and table
     "api/fe_import.py": "MODES _ALIKE _BEYOND _LOOSE _LOOSE_SHARE _MOST _NOTHING",
     "api/entries/entry.py": "MOST WARNINGS WIDTH NARROWEST",
     "api/entries/explained.py": "EFFECTS",
+    "study/loading.py": "_LISTED",
 }
 
 FORMATS = {  # units, codes of files, and what a file may hold

@@ -37,6 +37,8 @@ from calib.study.solver_settings import SolverSettings
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 _KEYS = {"model": ("model",), "effects": ("effects",), "finer_options": ("explain", "finer_options")}
+_LISTED = 20
+"""Most effects named where one is unknown."""
 """Keys for which a function is called."""
 
 Sensed = tuple[Model, Sequence[MeasuredModes | MeasuredFRFs]]
@@ -351,10 +353,12 @@ def pick(library: Sequence[Effect], name: str, place: Place) -> Effect:
     known = {one.name: one for effect in library for one in effect.family}
     if name not in known:
         near = difflib.get_close_matches(name, known, n=1)
+        few = list(known) if len(known) <= _LISTED else difflib.get_close_matches(name, known, n=_LISTED, cutoff=0.0)
+        which = "the listed effects are" if few == list(known) else f"the nearest of {len(known)} listed effects are"
         raise InputError(
             f"unknown effect {name!r}" + (f" (did you mean {near[0]!r}?)" if near else ""),
             place=place,
-            remedy=f"the listed effects are {', '.join(known) or 'none'}",
+            remedy=f"{which} {', '.join(few) or 'none'}",
         )
     return known[name]
 

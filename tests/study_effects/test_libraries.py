@@ -5,6 +5,9 @@ import re
 import pytest
 
 from calib.errors.errors import InputError
+from calib.problem.effect import Effect
+from calib.problem.parameter import Parameter
+from calib.study.loading import pick
 from calib.study.study import LoadedStudy
 from tests.study_effects.studies import RIG_EFFECTS, changed, complaint, names, with_keys
 
@@ -25,6 +28,16 @@ BAD = [
 def test_bad_keys_are_told_with_their_line(rig, lines, words):
     said = complaint(with_keys(rig, *lines))
     assert words in said and re.search(r"study\.toml, line 1\b", said) and said.endswith(".")
+
+
+def test_of_many_effects_the_nearest_are_listed():
+    names = [f"added_mass_{k}" for k in range(1, 700)]
+    magnitudes = [Parameter(name, 0.0, 0.0, 1.0, "kg", prior_sd=0.1) for name in names]
+    many = [Effect(p.name, "mass", "None.", "A mass.", p, lambda model: None) for p in magnitudes]
+    with pytest.raises(InputError) as refused:
+        pick(many, "added_mas_77", "study.toml")
+    said = str(refused.value)
+    assert "the nearest of 699 listed effects are added_mass_77, " in said and said.count("added_mass_") < 30
 
 
 LIBRARIES = [
