@@ -45,15 +45,15 @@ def test_it_is_imported_calibrated_and_goes_back(tmp_path):
     np.testing.assert_allclose(model.modes(fitted.best.statistics.values, len(own)).natural_freq, own, rtol=1e-4)
     assert abs(own / model.modes({}, len(own)).natural_freq - 1).max() > 0.02
     # With the mass that explain finds, validation data agree, and so does the deck with that mass.
-    extended = study.extend(["added_mass_26"], tmp_path / "extended")
+    extended = study.extend(["added_mass_748"], tmp_path / "extended")
     found = steps.calibrate_step(extended).best.statistics
     assert found.fits and validation_mac(extended, found.values) > 0.99 > 0.7 > validation_mac(study, {})
     extended.decks(tmp_path / "mass")
     true, std = json.loads(TRUTH.read_text("utf-8")), pd.read_csv(tmp_path / "mass/calibrated.csv", index_col=0)["std"]
-    known = {**true["parameters"], "added_mass_26": 1e3 * true["motor"]["mass"]}
+    known = {**true["parameters"], "added_mass_748": 1e3 * true["motor"]["mass"]}
     assert all(abs(found.values[name] - value) < 3 * std[name] for name, value in known.items())
     deck = (tmp_path / "mass/frame.inp").read_text("utf-8")
-    mass = f"*ELEMENT, TYPE=MASS, ELSET=M\n900001,748\n*MASS, ELSET=M\n{found.values['added_mass_26'] / 1e3}\n*STEP"
+    mass = f"*ELEMENT, TYPE=MASS, ELSET=M\n900001,748\n*MASS, ELSET=M\n{found.values['added_mass_748'] / 1e3}\n*STEP"
     (tmp_path / "mass/frame.inp").write_text(deck.replace("*STEP", mass, 1), encoding="utf-8")
     subprocess.run(["ccx", "-i", "frame"], cwd=tmp_path / "mass", check=True, capture_output=True)
     own = read_fe_modes(tmp_path / "mass/frame.dat").natural_freq
