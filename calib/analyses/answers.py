@@ -12,7 +12,7 @@ import pandas as pd
 
 from calib.analyses.uncertainty import ASSUMED
 from calib.correlation.frf.comparison import FRFComparison
-from calib.correlation.modal.comparison import BEYOND, WITHIN, Comparison
+from calib.correlation.modal.comparison import BEYOND, UNTESTED, WITHIN, Comparison
 from calib.hypotheses.rules import RULES
 from calib.inference.verdicts import identified_sentence
 from calib.problem.joint import of_test
@@ -98,7 +98,7 @@ def _of_responses(result: _Compared) -> Answer:
         words += f"; the largest is {signed(100 * worst['error'], 2)} % ({worst['response']})"
     in_std = table["error_in_std"].abs().dropna()
     if in_std.empty:
-        tested, off = "No standard deviation is stated, so deviations are not tested.", 1
+        tested, off = UNTESTED, 1
     else:
         off = int((in_std > RULES.off).sum())
         tested = f"{off} of {_count(len(in_std), 'response')} are off by more than {RULES.off:g} standard deviations."

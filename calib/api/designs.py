@@ -15,6 +15,7 @@ from calib.api.entries.entry import Words
 from calib.api.figures import file_name, write_named
 from calib.errors.arguments import path as path_of
 from calib.errors.errors import InputError
+from calib.report.numbers import labels_with_units
 from calib.report.style import owner_of
 
 if TYPE_CHECKING:
@@ -109,7 +110,7 @@ def draw_designs(
         raise InputError(f"unknown picture {unknown[0]!r}", place="designs, draw", remedy=f"use {', '.join(PICTURES)}")
     inputs, space = list(found.space.free_names), found.space
     units = {**response_units(study, found.outputs), **{p.name: p.unit for p in space.parameters}}
-    labels = {name: f"{name}, {unit}" for name, unit in units.items() if unit not in ("", "-")}
+    labels = labels_with_units(units)
     looks: dict[str, Any] = {"labels": labels, "log": [p.name for p in space.parameters if p.is_log]}
     figures: list[tuple[str, Callable[[], Any]]] = [
         (f"anthill_{file_name(x)}_{file_name(y)}", partial(draw_anthill, found.table, x, y, **looks)) for x, y in clouds

@@ -14,6 +14,7 @@ from calib.analyses.sensitivity import Sensitivity, response_units, runs_of
 from calib.api.figures import file_name, write_named
 from calib.errors.errors import InputError
 from calib.report.metamodel import CELLS, draw_residuals, surface_figure
+from calib.report.numbers import labels_with_units
 from calib.report.style import owner_of, save, style
 from calib.sensitivity.prognosis import Metamodel
 from calib.study.several import AnyStudy
@@ -92,5 +93,5 @@ def _figure(one: Metamodel, designs: pd.DataFrame, inputs: tuple[str, str] | Non
     points[:, names.index(inputs[0])], points[:, names.index(inputs[1])] = (a.ravel() for a in np.meshgrid(x, y))
     grid = pd.DataFrame({name: points[:, names.index(name)] for name in inputs}).assign(**{one.response: one(points)})
     units = {**units, **{p.name: p.unit for p in one.space.free}}
-    labels = {name: f"{name}, {unit}" for name, unit in units.items() if unit not in ("", "-")}
+    labels = labels_with_units(units)
     return surface_figure(grid, designs, *inputs, one.response, labels, [p.name for p in one.space.free if p.is_log])

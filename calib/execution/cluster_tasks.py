@@ -11,7 +11,7 @@ from typing import Any
 
 from calib.execution import tasks
 from calib.execution.cluster import Cluster
-from calib.execution.cluster_worker import library_versions, require_same
+from calib.execution.cluster_worker import library_versions, passed_on, require_same
 from calib.execution.outcome import WORKER_DIED, words_of
 from calib.execution.tasks import I, R, S, Share, Told, one_thread, unreported
 
@@ -76,7 +76,7 @@ class ClusterTasks:
 
         client, ended = self._cluster.client(), queue.SimpleQueue[Any]()
         with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1TB"}):
-            sent = client.submit(_passed_on, content, pure=False)
+            sent = client.submit(passed_on, content, pure=False)
         numbers: dict[str, int] = {}
         found: dict[int, R] = {}
         lost: dict[int, Exception] = {}
@@ -87,10 +87,8 @@ class ClusterTasks:
                 future.add_done_callback(ended.put)
             told(0)
             while len(found) + len(lost) < len(items):
-                with contextlib.suppress(
-                    queue.Empty
-                ):  # a queue, unlike dask's own waiting, may be interrupted anywhere
-                    future = ended.get(timeout=1.0)
+                with contextlib.suppress(queue.Empty):
+                    future = ended.get(timeout=1.0)  # unlike dask's own waiting it may be interrupted anywhere
                     try:
                         found[numbers[future.key]] = future.result()
                     except Exception as fault:  # the task's, or its workers': here it succeeds, or fails in its own way
@@ -117,11 +115,6 @@ def _written(function: object, shared: object) -> bytes | None:
         return content
     except Exception:  # a class may raise anything from its own `__reduce__` or `__getstate__`
         return None
-
-
-def _passed_on(content: bytes) -> bytes:
-    """What tasks share itself; see `calib.execution.cluster_worker.passed_on`."""
-    return content
 
 
 def _done(content: bytes, item: object, versions: Mapping[str, str]) -> Any:

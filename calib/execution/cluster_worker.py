@@ -10,6 +10,7 @@ import threading
 import zlib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import TypeVar
 
 from calib.errors.errors import InputError
 from calib.execution.evaluate import Evaluator
@@ -20,6 +21,7 @@ _KEPT = 4
 """Idle processes that a worker keeps for evaluators other than the present one: a model may need much memory."""
 
 
+C = TypeVar("C")
 NO_DAEMON = "DASK_DISTRIBUTED__WORKER__DAEMON=False"
 """Setting of Dask by which workers may start processes."""
 
@@ -100,9 +102,9 @@ class ParcelOutcomes:
     fault: Exception | None = None
 
 
-def passed_on(parcel: Parcel) -> Parcel:
-    """The parcel itself: as the result of a task, it is made again when the worker that holds it is lost."""
-    return parcel
+def passed_on(content: C) -> C:
+    """What tasks share itself: as the result of a task, it is made again when the worker that holds it is lost."""
+    return content
 
 
 def evaluate_parcel(parcel: Parcel, points: Sequence[Mapping[str, float]]) -> ParcelOutcomes:

@@ -85,23 +85,28 @@ _EDGES: Mapping[int, Sequence[Edge]] = {
 
 
 def frd_elements(file: Path) -> Iterator[Element]:
-    """Elements of a text file, each a line ``-1`` with its number and type and lines ``-2`` with its nodes."""
-    inside, number, nodes = False, 0, list[int]()
+    """Elements of a text file, each a line ``-1`` with its number and type and lines ``-2`` with its nodes.
+
+    Numbers of nodes have ten columns, or five in the short form; where a line cannot be read the elements end.
+    """
+    inside, wide, number, nodes = False, 10, 0, list[int]()
     edges: Sequence[Edge] = ()
     for line in file.read_text("ascii", errors="replace").splitlines():
-        key = line[:5].split()
-        if line.startswith("    3C"):
-            inside = True
-        elif inside and key[:1] == ["-2"]:
-            nodes += [int(one) for one in line[3:].split()]
-        elif inside:
-            if nodes:
-                yield Element(number, "", tuple(nodes), edges)
-            nodes = []
-            if key[:1] != ["-1"]:
-                return
-            number, kind = (int(one) for one in line[3:].split()[:2])
-            edges = _EDGES.get(kind, ())
+        key = line[:3].strip()
+        try:
+            if line.startswith("    3C"):
+                inside, wide = True, 5 if line.split()[-1] == "0" else 10
+            elif inside and key == "-2":
+                nodes += [int(line[k : k + wide]) for k in range(3, len(line.rstrip()), wide)]
+            elif inside:
+                if nodes:
+                    yield Element(number, "", tuple(nodes), edges)
+                nodes = []
+                if key != "-1":
+                    return
+                number, edges = int(line[3 : 3 + wide]), _EDGES.get(int(line[3 + wide : 8 + wide]), ())
+        except ValueError:
+            return
 
 
 def _numbers(line: str) -> tuple[float, float, float]:

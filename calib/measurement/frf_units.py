@@ -10,15 +10,17 @@ from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.measurement.frf import Quantity
 from calib.measurement.frf_repeats import Key
+from calib.problem.parameter import SI_FACTORS
 
 GRAVITY = 9.80665
 """Standard gravity, m/s^2, by which accelerometers are calibrated in g."""
 
 LENGTHS: Mapping[str, float] = {
-    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "inch": 0.0254, "in": 0.0254, "ft": 0.3048
+    "m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "µm": 1e-6, "inch": SI_FACTORS["in"], "in": SI_FACTORS["in"],
+    "ft": SI_FACTORS["ft"],
 }  # fmt: skip
 """Metres per unit of length."""
-FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": 4.4482216152605}
+FORCES: Mapping[str, float] = {"N": 1.0, "kN": 1e3, "mN": 1e-3, "lbf": SI_FACTORS["lbf"]}
 """Newtons per unit of force."""
 _POWERS: Mapping[Quantity, tuple[str, ...]] = {"receptance": ("",), "mobility": ("s",), "accelerance": ("s2", "ss")}
 SAME_UNIT = 1e-3

@@ -31,7 +31,7 @@ _UNNAMED = "responses"
 _WORDS = {"freq": "frequency", "frf": "FRFs"}
 _MOST = 16.0
 """Upper end of the colour scale of -log10 p."""
-_TITLE, _TITLE_COLUMN = 32, 19
+_TITLE, _TITLE_COLUMN = 36, 19
 """Letters of a line above one of two panels, on a page and in a column."""
 _COLOURS = (style.AFTER, style.WITH, style.PURPLE, style.ORANGE, style.SKY)
 

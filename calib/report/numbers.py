@@ -53,6 +53,11 @@ def with_unit(value: float, unit: str, digits: int = 3) -> str:
     return words if unit in ("", "-", UNKNOWN) or words == UNKNOWN else f"{words} {unit}"
 
 
+def labels_with_units(units: Mapping[str, str]) -> dict[str, str]:
+    """Labels of axes, such as ``k1, MN/m``, for the names that have a unit."""
+    return {name: f"{name}, {unit}" for name, unit in units.items() if unit not in ("", "-")}
+
+
 def magnitude_in_words(r: Mapping[Hashable, Any], level: str = "") -> str:
     """Format a fitted magnitude with its interval of 95 %, which ``level`` may say, such as ``64.1 kg (54.0 to 74.2)``.
 

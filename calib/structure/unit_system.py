@@ -10,7 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.problem.parameter import Parameter
+from calib.problem.parameter import SI_FACTORS, Parameter
 
 _TOKENS: Mapping[str, tuple[int, int, int, int]] = {
     **dict.fromkeys(("GPa", "MPa", "kPa", "Pa", "psi", "ksi"), (1, -2, 0, 0)),
@@ -73,9 +73,9 @@ SYSTEMS: Mapping[str, UnitSystem] = {
         UnitSystem("m-kg-N", 1.0, 1.0),
         UnitSystem("mm-t-N", 1e-3, 1.0),
         UnitSystem("mm-kg-mN", 1e-3, 1e-3),
-        UnitSystem("in-lbf", 0.0254, 4.4482216152605),
-        UnitSystem("in-kip", 0.0254, 4448.2216152605),
-        UnitSystem("ft-lbf", 0.3048, 4.4482216152605),
+        UnitSystem("in-lbf", SI_FACTORS["in"], SI_FACTORS["lbf"]),
+        UnitSystem("in-kip", SI_FACTORS["in"], SI_FACTORS["kip"]),
+        UnitSystem("ft-lbf", SI_FACTORS["ft"], SI_FACTORS["lbf"]),
     )
 }
 """Known systems; their mass is kg, t, kg, lbf s2/in, kip s2/in and slug."""

@@ -55,7 +55,7 @@ def test_the_explained_model_stands_beside_the_base_model(kinds):
     panels = [ax for ax in figure.axes if ax.images]
     assert [ax.get_title(loc="left") or ax.get_title() for ax in panels[:2]] == [
         "model as it is, calibrated",
-        "with the missing effect,\ncalibrated",
+        "with the missing effect, calibrated",
     ]
     words, colours = cells(panels[1], names=panels[0])
     assert words["2BT", "shape"] == "0.5" and colours["2BT", "shape"] == pytest.approx(2.0)

@@ -20,6 +20,7 @@ from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
 _MOTION = ["u", "v", "w"]
+UNTESTED = "No standard deviation is stated, so deviations are not tested."
 
 _Row = tuple[str, str, float, float, float, str]
 
@@ -302,8 +303,8 @@ class Comparison:
             words.append(f"The mean MAC is {mean:.3f}; noise alone limits it to {limit:.3f}.")
         tested = table[table["verdict"].isin([BEYOND, WITHIN])]
         if tested.empty:
-            why = "No mode is paired" if len(lost) == n else "No standard deviation is stated"
-            return " ".join(words), f"{why}, so deviations are not tested."
+            why = "No mode is paired, so deviations are not tested." if len(lost) == n else UNTESTED
+            return " ".join(words), why
         count = int((tested["verdict"] == BEYOND).sum())
         chance = (1 - RULES.level) * len(tested)
         beyond = (
