@@ -89,13 +89,17 @@ def _paired(found: pd.DataFrame, modes: Modes, code: MeasuredModes, shapes: np.n
     known = found.dropna(subset=["model_mode"])
     of = dict(zip(known["mode"], known["model_mode"], strict=True))
     rows: dict[int, tuple[float, float]] = {}
-    close = close_groups(freq, freq, np.full(len(freq), CLOSE / math.sqrt(2.0)), 1.0)
-    alone = sorted({*range(len(freq))}.difference(*close))
-    for group in (*close, *((j,) for j in alone)):
+    for group in modes_together(freq):
         own = [i for i, name in enumerate(code.names) if of.get(name, 0) - 1 in group]
         for j, i in zip(group, own, strict=False):
             rows[j + 1] = float(code.natural_freq[i]), span_mac(code.shapes[:, i], shapes[:, list(group)])
     return pd.DataFrame.from_dict(rows, orient="index", columns=["code_freq", "mac"])
+
+
+def modes_together(freq: np.ndarray) -> list[tuple[int, ...]]:
+    """Groups of modes within `CLOSE` of each other, and each other mode alone; ``freq`` (n,) in Hz, ascending."""
+    close = close_groups(freq, freq, np.full(len(freq), CLOSE / math.sqrt(2.0)), 1.0)
+    return [*close, *((j,) for j in sorted({*range(len(freq))}.difference(*close)))]
 
 
 def span_mac(shape: np.ndarray, others: np.ndarray) -> float:

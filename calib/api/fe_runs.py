@@ -14,7 +14,7 @@ import pandas as pd
 import scipy.sparse as sp
 
 from calib.api.entries.entry import count
-from calib.api.fe_agreement import CLOSE, FREQ_AGREES, MAC_AGREES, span_mac
+from calib.api.fe_agreement import CLOSE, FREQ_AGREES, MAC_AGREES, modes_together, span_mac
 from calib.api.fe_import import Imported
 from calib.api.fe_study import TEMPLATE, TermsByKind, model_of, toml_text, write_study
 from calib.errors.errors import EvaluationError, InputError
@@ -262,8 +262,8 @@ def _against_solver(model: StructuralModel, values: Mapping[str, float], own: Me
     # A last mode whose neighbour the solver did not compute spans nothing with it.
     if n < len(freq) and freq[n] < (1 + CLOSE) * freq[n - 1] and n > 1:
         n -= 1
-    rows = []
-    for j in range(n):
-        group = np.flatnonzero(np.abs(code / code[j] - 1) < CLOSE)
-        rows.append((j + 1, freq[j], code[j], freq[j] / code[j] - 1, span_mac(shapes[:, j], theirs[:, group])))
+    beside = {j: list(group) for group in modes_together(code) for j in group}
+    rows = [
+        (j + 1, freq[j], code[j], freq[j] / code[j] - 1, span_mac(shapes[:, j], theirs[:, beside[j]])) for j in range(n)
+    ]
     return pd.DataFrame(rows, columns=["mode", "freq", "code_freq", "freq_error", "mac"])
