@@ -97,3 +97,22 @@ U
     both = {(node, 3) for node in (4, 6, 8, 11)}
     assert held_motions("*BOUNDARY\n4, 2, , 0\n") == {(4, 2)}  # the value is no last direction
     assert held_motions(deck) == {(1, 1), (1, 2), (1, 3), (1, 6), (2, 6), (12, 2)} | both
+
+
+@pytest.mark.parametrize(("form", "width"), [("1", 10), ("0", 5)])
+def test_edges_of_elements_in_a_file_of_results(tmp_path, form, width):
+    """Numbers that fill their columns touch; a line that cannot be read ends the elements."""
+    number = f"{{:>{width}}}".format
+    plate = [98760 + k for k in range(1, 9)]
+    lines = [
+        f"    3C                             2{form:>38}",
+        f" -1{number(1)}{10:>5}    0    1",  # a shell of eight nodes, in two lines
+        " -2" + "".join(map(number, plate[:5])),
+        " -2" + "".join(map(number, plate[5:])),
+        f" -1{number(2)}{11:>5}    0    1",
+        " -2" + number(7) + number(8),
+        f" -1{number('x')}{11:>5}    0    1",
+    ]
+    (tmp_path / "a.frd").write_text("\n".join(lines))
+    edges = {tuple(sorted(edge)) for edge in element_lines([None, tmp_path / "a.frd"])}
+    assert edges == {(7, 8), (98761, 98762), (98762, 98763), (98763, 98764), (98761, 98764)}
