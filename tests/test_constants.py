@@ -88,6 +88,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _NEARER _REFINED _BATCH _MODES "
     "_TOGETHER _NUMBERS",
     "structure/reduction/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
+    "structure/reduction/basis.py": "_ROOM",
     "structure/reduction/growth.py": "SAFETY POD _SHARES _STATIC _COLUMNS VERIFIED _LOCAL _STRAINED",
     "structure/reduction/mode_target.py": "_NEAR REFINED _DIRECTIONS _KEPT",
     "structure/mounted.py": "GROWN_SAG",

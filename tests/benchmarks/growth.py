@@ -118,7 +118,7 @@ def basis_from(study: LoadedStudy, model: StructuralModel, samples: int) -> Basi
     )  # fmt: skip
     growth = Growth(model, basis)
     target = ModeTarget(count, basis.freq_max, basis.damping_max, basis.tolerance)
-    snapshots = np.hstack([target.snapshots(model, growth.matrix, p) for p in points])
+    snapshots = (target.snapshots(model, growth.matrix, p) for p in points)
     statics = growth.statics(target.forces(model))
     return replace(basis, vectors=growth.widened(statics, snapshots, settings.tolerance / 2))
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,8 @@ from calib.results.written import replacing
 _FORMAT = "calib reduced basis 3"
 _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
 CHECK_COLUMNS = ("round", "size", "indicator", "error")
+_ROOM = 16
+"""Degrees of freedom of effects for which the vectors are stored with room."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,11 +77,14 @@ class Basis:
     version: int = 1
     request: str = ""
     key: str = ""
+    _room: list[np.ndarray] = field(init=False, repr=False, default_factory=list)
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
-            array = np.array(getattr(self, name), dtype=float)
-            array.setflags(write=False)
+            array = np.asarray(getattr(self, name), dtype=float)
+            if array.flags.writeable:  # what another basis holds is shared, not copied: it may be hundreds of megabytes
+                array = array.copy()
+                array.setflags(write=False)
             object.__setattr__(self, name, array)
 
     @property
@@ -96,7 +102,7 @@ class Basis:
         """Hash over the vectors and everything else."""
         out = hashlib.sha256(self._header().encode())
         for name in _ARRAYS:
-            out.update(np.ascontiguousarray(getattr(self, name)).tobytes())
+            out.update(np.ascontiguousarray(getattr(self, name)).ravel().data)
         return out.hexdigest()[:16]
 
     def table(self) -> pd.DataFrame:
@@ -117,6 +123,24 @@ class Basis:
                 return False
         return True
 
+    def _with_room(self, more: int) -> np.ndarray:
+        """The vectors with one for each further degree of freedom, at least ``more`` of them.
+
+        What is carried to one model or another is a part of the same array, not a copy.
+        """
+        found = self._room
+        if not found or found[0].shape[1] < self.size + more:
+            room = max(more, _ROOM)
+            wide = np.zeros((len(self.vectors) + room, self.size + room))
+            wide[: len(self.vectors), : self.size] = self.vectors
+            wide[len(self.vectors) :, self.size :] = np.eye(room)
+            wide.setflags(write=False)
+            found[:] = [wide]
+        return found[0]
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {name: value for name, value in self.__dict__.items() if name != "_room"} | {"_room": []}
+
     def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
         """The basis of an extended model, which lists the degrees of freedom and parameters of the base model first.
 
@@ -128,9 +152,7 @@ class Basis:
             Of the extended model; each added degree of freedom becomes a vector.
         """
         more = n_dof - len(self.vectors)
-        vectors = np.zeros((n_dof, self.size + more))
-        vectors[: n_dof - more, : self.size] = self.vectors
-        vectors[n_dof - more :, self.size :] = np.eye(more)
+        vectors = self._with_room(more)[:n_dof, : self.size + more] if more else self.vectors
         own = space.parameters[len(self.names) :]
 
         def wider(array: np.ndarray, ends: list[float]) -> np.ndarray:

@@ -99,8 +99,8 @@ def effect_basis(
         asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
         solved = each(_near, [known.extended([one]) for one in few], asked)
         for k in range(len(few)):
-            seen = [_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k]
-            vectors = growth.widened(vectors, np.hstack(seen), error)
+            seen = (_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k)
+            vectors = growth.widened(vectors, seen, error)
     nominal = model.modes(middle, basis.count)
     local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
     for first in range(0, len(perturbations), together):
@@ -109,7 +109,7 @@ def effect_basis(
         wider = extend(model, [one.effect for one in some])
         slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
         while batch := list(islice(slopes, _BATCH)):
-            vectors = growth.widened(vectors, np.hstack(batch), error)
+            vectors = growth.widened(vectors, batch, error)
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
@@ -130,7 +130,7 @@ def covering_fits(reduced: ReducedModel, fits: Iterable[tuple[Sequence[Effect], 
             if np.max(known.indicator(values, modes)[counts], initial=0.0) > basis.tolerance:
                 accuracy = REFINED * basis.tolerance
                 solved = modes_near(known, values, known.n_modes, accuracy)
-                vectors = growth.widened(vectors, _unit(growth, solved, model.n_dof, basis), accuracy)
+                vectors = growth.widened(vectors, [_unit(growth, solved, model.n_dof, basis)], accuracy)
                 inner = ReducedModel(model, replace(basis, vectors=vectors))
     grown = vectors.shape[1] > basis.size
     return replace(basis, vectors=vectors, version=basis.version + 1) if grown else basis

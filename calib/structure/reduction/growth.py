@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from functools import cached_property
 from typing import Protocol
@@ -195,22 +195,12 @@ class Growth:
         responses /= np.sqrt(np.einsum("ij,ij->j", responses, self.matrix @ responses))
         return self.spanned(responses, _STATIC**2)
 
-    def decomposed(self, snapshots: np.ndarray, basis: np.ndarray, error: float) -> np.ndarray:
-        """Fewest principal directions that, with a basis, represent every snapshot to a squared error."""
-        rest = self.project_out(snapshots, basis)
-        gram = self.gram(rest)
-        if np.diag(gram).max(initial=0.0) < error:
-            return np.zeros((len(rest), 0))
-        energies, turn = la.eigh(gram)
-        energies, turn = energies[::-1], turn[:, ::-1]
-        left = np.diag(gram)[:, None] - np.cumsum(energies * turn**2, axis=1)
-        size = int(np.argmax(left.max(axis=0) < error)) + 1
-        size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
-        return self.spanned(self.project_out(rest @ (turn[:, :size] / np.sqrt(energies[:size])), basis), 0.0)
-
-    def widened(self, basis: np.ndarray, vectors: np.ndarray, error: float) -> np.ndarray:
-        """An orthonormal basis, extended to represent given vectors to a squared error."""
-        return np.hstack([basis, self.decomposed(vectors, basis, error)])
+    def widened(self, basis: np.ndarray, vectors: Iterable[np.ndarray], error: float) -> np.ndarray:
+        """An orthonormal basis, extended to represent given vectors, (n_dof, m) each, to a squared error."""
+        snapshots = Snapshots(self, basis)
+        for some in vectors:
+            snapshots.add(some)
+        return snapshots.represented(error)
 
     def enriched(
         self,
@@ -269,6 +259,45 @@ class Growth:
         """An orthonormal basis with vectors added, directions of energy below ``least`` dropped."""
         new = self.spanned(self.project_out(vectors, basis), least)
         return np.hstack([basis, self.project_out(new, basis)])
+
+
+class Snapshots:
+    """What vectors have outside an orthonormal basis, and the products of that with each other.
+
+    Vectors are taken one after another, each once: what is kept of them is nearly all the memory of a training.
+    """
+
+    def __init__(self, growth: Growth, basis: np.ndarray) -> None:
+        self._growth, self._basis = growth, basis
+        self._parts: list[np.ndarray] = []
+        self._gram = np.zeros((0, 0))
+
+    def add(self, vectors: np.ndarray) -> None:
+        """Take vectors, (n_dof, m)."""
+        for some in _blocks(vectors.shape[1]):
+            rest = self._growth.project_out(vectors[:, some], self._basis)
+            images = self._growth.matrix @ rest
+            beside = [part.T @ images for part in self._parts]
+            above = np.vstack([np.zeros((0, rest.shape[1])), *beside])
+            self._gram = np.block([[self._gram, above], [above.T, rest.T @ images]])
+            self._parts.append(rest)
+
+    def represented(self, error: float) -> np.ndarray:
+        """The basis, extended by the fewest principal directions that represent every vector to a squared error."""
+        own = np.diag(self._gram)
+        if own.max(initial=0.0) < error:
+            return self._basis
+        energies, turn = la.eigh(self._gram)
+        energies, turn = energies[::-1], turn[:, ::-1]
+        left = own[:, None] - np.cumsum(energies * turn**2, axis=1)
+        size = int(np.argmax(left.max(axis=0) < error)) + 1
+        size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
+        growth, ends = self._growth, np.cumsum([part.shape[1] for part in self._parts])[:-1]
+        weights = np.split(turn[:, :size] / np.sqrt(energies[:size]), ends)
+        found = np.zeros((len(self._basis), size))
+        for part, weight in zip(self._parts, weights, strict=True):
+            found += part @ weight
+        return np.hstack([self._basis, growth.spanned(growth.project_out(found, self._basis), 0.0)])
 
 
 def products(energy: sp.csc_array, vectors: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from calib.structure.reduction.growth import (
     SAFETY,
     VERIFIED,
     Growth,
+    Snapshots,
     Target,
     next_round,
     offset_of,
@@ -152,21 +153,21 @@ def train(
     modes = reference_modes(model, dict(zip(model.space.names, reference.tolist(), strict=True)))
     basis = _empty(model, target, (lower, reference, upper), modes, seed)
     growth = Growth(model, basis, modes)
-    vectors = growth.statics(target.forces(model))
     points = [p for space in several for p in space_filling_points(space, samples or _sample_count(space), rng)]
-    snapshots = np.zeros((model.n_dof, 0))
+    snapshots = Snapshots(growth, growth.statics(target.forces(model)))
     known: ReducedModel | None = None
     for some in _batches(len(points)):
         if some.start:
-            so_far = growth.widened(vectors, snapshots, POD * target.tolerance)
-            known = ReducedModel(model, replace(basis, vectors=so_far))
+            known = ReducedModel(model, replace(basis, vectors=snapshots.represented(POD * target.tolerance)))
 
         def told(done: int, first: int = some.start) -> None:
             progress("training the reduced basis", first + done, len(points))
 
         solved = each(_snapshots, (target, model, growth.matrix, known), [points[k] for k in some], told)
-        snapshots = np.hstack([snapshots, *solved])
-    vectors = growth.widened(vectors, snapshots, POD * target.tolerance)
+        while solved:
+            snapshots.add(solved.pop(0))
+    vectors = snapshots.represented(POD * target.tolerance)
+    del snapshots
     basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, points))
     for number in range(1, _ROUNDS + 1):
         progress(f"checking the reduced basis, round {number}")
@@ -216,7 +217,7 @@ def basis_at(model: StructuralModel, space: ParameterSpace, target: ModeTarget, 
     basis = _empty(model, target, (np.minimum(lower, row), row, np.maximum(upper, row)), reference, 0)
     growth = Growth(model, basis, reference)
     vectors = growth.widened(
-        growth.statics(target.forces(model)), target.columns(modes, growth.matrix), POD * target.tolerance
+        growth.statics(target.forces(model)), [target.columns(modes, growth.matrix)], POD * target.tolerance
     )
     basis = replace(basis, vectors=vectors, samples=sampled_rows(basis, [point]))
     static = ReducedModel(model, basis, factor=growth.factor).static_response
