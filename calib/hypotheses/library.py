@@ -13,7 +13,7 @@ from calib.measurement.modal import MeasuredModes
 from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.results.written import is_own
-from calib.structure.effects.extend import extend
+from calib.structure.effects.extend import addition_of
 from calib.structure.effects.perturbations import Perturbation, accelerometers, perturbations
 from calib.structure.located import placed_sensors
 from calib.structure.model import StructuralModel
@@ -74,7 +74,7 @@ def effects_basis(
     from calib.structure.effects.composed import OF_MATRICES  # where a basis is trained
 
     own = wanted.key(model, space)
-    whole = extend(model, [*effects, *(one.effect for one in local)])
+    added = [addition_of(model, effect).digest() for effect in (*effects, *(one.effect for one in local))]
     solved = [e for e in effects if e.grid or not isinstance(e.build, OF_MATRICES)]
     nowhere = (math.nan, math.nan, math.nan)
     composed = [
@@ -83,7 +83,7 @@ def effects_basis(
     effects, local = solved, [*local, *composed]
     sampled = [(e.name, [parameter_key(p) for p in e.parameters], e.plausible, e.grid) for e in effects]
     near = () if at is None else (sorted(at.items()),)
-    key = basis_key(whole, own, sampled, [weight_key(one) for one in local], *near)
+    key = basis_key(model, own, added, sampled, [weight_key(one) for one in local], *near)
     path = None if folder is None else folder / f"basis_effects_{key}.npz"
 
     def trained() -> Basis:

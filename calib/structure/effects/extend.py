@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -41,6 +42,21 @@ class Addition:
     selected: tuple[SelectedTerm, ...] = ()
     n_added: int = 0
     assumptions: tuple[Assumption, ...] = ()
+
+    def digest(self) -> str:
+        """Hash over every term and vector."""
+        out = hashlib.sha256(str(self.n_added).encode())
+        for kind in ("stiffness", "damping", "mass"):
+            for term in getattr(self, kind):
+                matrix = sp.csr_array(term.matrix)
+                out.update(repr((kind, term.name, term.coefficient, matrix.shape)).encode())
+                for array in (matrix.indptr, matrix.indices, matrix.data):
+                    out.update(np.ascontiguousarray(array).data)
+        for one in self.selected:
+            out.update(repr((one.name, one.coefficient, one.selectors, sorted(one.vectors))).encode())
+            for key in sorted(one.vectors):
+                out.update(np.ascontiguousarray(one.vectors[key], dtype=float).data)
+        return out.hexdigest()
 
 
 def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel:

@@ -108,8 +108,8 @@ def effect_basis(
         some = perturbations[first : first + together]
         wider = extend(model, [one.effect for one in some])
         slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
-        while batch := list(islice(slopes, _BATCH)):
-            vectors = growth.widened(vectors, batch, error)
+        for _ in range(0, len(some), _BATCH):
+            vectors = growth.widened(vectors, islice(slopes, _BATCH), error)
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
