@@ -64,7 +64,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "api/fe_runs.py": "_FRESH _NODES",
     "study/solver.py": "MODES STEP _KEPT _NOTED _TOLD",
     "structure/places.py": "_LITTLE _STRAIGHT",
-    "structure/effects/point_compositions.py": "_SAME",
+    "structure/effects/point_compositions.py": "_ROUNDED _SAME",
     "structure/reduction/refinement.py": "_ALONG ACCURACY _CLEAR _ORTHOGONAL _SHIFT",
     "structure/eigenproblem/solve.py": "_COPY _ROUNDINGS _SHIFT _TURNING",
     "structure/eigenproblem/solve_dense.py": "_SHIFT",

@@ -16,7 +16,7 @@ from calib.structure.effects.attach import joined_nodes, mounted_dampers, part_o
 from calib.structure.effects.composition import Names, dynamic_factor
 from calib.structure.effects.extend import extend
 from calib.structure.effects.part_compositions import _alike, of_joints, of_mounts, of_supports
-from calib.structure.effects.point_compositions import further_spots, mirrored, of_sensors
+from calib.structure.effects.point_compositions import _pairs, further_spots, mirrored, of_sensors
 from calib.structure.elongations import elongations
 from calib.structure.rules import RULES
 from models.railway.rig import bogie_on_rig
@@ -192,3 +192,12 @@ def test_compositions_come_in_one_order_whatever_the_seed_of_hashes():
         for seed in ("1", "2", "3")
     }
     assert len(out) == 1 and len(out.pop()) > 100
+
+
+def test_a_spring_joins_a_sensor_to_what_faces_it_beyond_nearer_ones_on_its_own_column():
+    apart = 4.5  # farther than four sensors of the same column
+    pairs = _pairs([Sensor(n, "x", (x, 0.0, float(n % 6))) for n, x in enumerate([0.0] * 6 + [apart] * 6)])
+    assert {(n, n + 6) for n in range(6)} <= set(pairs)
+    across = [(k, j) for k, j in pairs if k // 6 != j // 6]
+    assert across == [(n, n + 6) for n in range(6)], "a diagonal of a rectangle has its corners on the sphere"
+    assert (0, 3) in pairs, "the nearest count, whatever lies between"

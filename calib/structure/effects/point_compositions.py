@@ -19,6 +19,8 @@ from calib.structure.effects.composition import Composition, Names, Point, dynam
 from calib.structure.model import StructuralModel
 from calib.structure.rules import RULES
 
+_ROUNDED = 1e-9
+"""Rounding of a squared distance: in a square, what is across counts as held by the other corners."""
 _SAME = 1e-3
 """Distance of two places that count as one, over the size of the model."""
 _KINDS: Mapping[str, tuple[str, str, str]] = {
@@ -309,16 +311,32 @@ def _by_place(sensors: Sequence[Sensor]) -> dict[Place, list[Sensor]]:
 
 
 def _pairs(sensors: Sequence[Sensor]) -> list[tuple[int, int]]:
-    """Pairs of sensors of one direction, each with its nearest `RULES.neighbours` in other places."""
+    """Pairs of sensors of one direction: each with its nearest `RULES.neighbours` in other places, and what faces it.
+
+    Two face each other where no third lies in the sphere whose diameter they span (Gabriel and Sokal 1969): all that
+    are nearest to a sensor on a column may be on the same column, where a brace leads to another one.
+    """
     found: dict[tuple[int, int], None] = {}
-    for k, sensor in enumerate(sensors):
-        alike = [
-            j for j, o in enumerate(sensors) if o.direction == sensor.direction and _place(o) != _place(sensor)
-        ]  # fmt: skip
-        far = [math.dist(sensors[j].point or _NOWHERE, sensor.point or _NOWHERE) for j in alike]
-        for j in (alike[i] for i in np.argsort(far, kind="stable")[: RULES.neighbours]):
-            found[min(k, j), max(k, j)] = None
+    for axis in dict.fromkeys(s.direction for s in sensors):
+        own = [k for k, s in enumerate(sensors) if s.direction == axis]
+        points = np.array([sensors[k].point or _NOWHERE for k in own])
+        far = np.linalg.norm(points[:, None] - points, axis=2)
+        for i, k in enumerate(own):
+            apart = [j for j in range(len(own)) if _place(sensors[own[j]]) != _place(sensors[k])]
+            nearest = [apart[n] for n in np.argsort(far[i, apart], kind="stable")[: RULES.neighbours]]
+            for j in dict.fromkeys([*nearest, *_facing(far, i, apart)]):
+                found[min(k, own[j]), max(k, own[j])] = None
     return list(found)
+
+
+def _facing(far: np.ndarray, i: int, others: Sequence[int]) -> list[int]:
+    """Those of the others with which point ``i`` spans a sphere that holds no third one, from all distances (n, n)."""
+    within = (far[i] ** 2 + far[others] ** 2) <= (1 + _ROUNDED) * far[i, others, None] ** 2
+    within[np.arange(len(others)), others] = False
+    within[:, i] = False
+    within &= far[i] > 0  # another sensor at the same place
+    within &= far[others] > 0
+    return [j for j, held in zip(others, within.any(axis=1).tolist(), strict=True) if not held]
 
 
 _NOWHERE = (math.nan, math.nan, math.nan)
