@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import traceback
 from collections.abc import Callable, Iterable, Mapping
 from functools import cache
 from pathlib import Path
@@ -104,7 +105,16 @@ def deck_of(text: str, parameters: Iterable[Parameter], values: Mapping[str, flo
     except EvaluationError:
         raise
     except Exception as fault:  # whatever an expression of the user's may raise
-        raise EvaluationError(f"the template cannot be written ({type(fault).__name__}: {fault})") from None
+        frames = traceback.walk_tb(fault.__traceback__)
+        number = max((line for frame, line in frames if frame.f_code.co_filename == _TEMPLATE), default=0)
+        first = isinstance(fault, TypeError) and number and "|" in text.splitlines()[number - 1]
+        hint = ". A filter acts before * and +: write {{ (2 * t) | columns(8) }}" if first else ""
+        what = f"the template{f', line {number},' if number else ''} cannot be written"
+        raise EvaluationError(f"{what} ({type(fault).__name__}: {fault}){hint}") from None
+
+
+_TEMPLATE = "<template>"
+"""File of the code of a template in a traceback."""
 
 
 @cache
