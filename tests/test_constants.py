@@ -110,6 +110,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/screening.py": "TRAJECTORIES BASE",
     "analyses/explain.py": "_WIDENED",
+    "analyses/hypotheses_of_study.py": "_WIDENED",
     "analyses/least_squares.py": "_WIDENED",
     "analyses/extend.py": "STARTS",
     "correlation/modal/axes.py": "_GROUPS",

@@ -16,7 +16,7 @@ from calib.analyses.added import to_add
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.hypotheses_of_study import adapter_for, generic_note
+from calib.analyses.hypotheses_of_study import adapter_for, generic_note, near_fit
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
@@ -112,9 +112,9 @@ def explanation_of(
     require_enough(JointRows(pairs).rows, len(study.search_space.free))
     started, stated = time.perf_counter(), study.settings.explain.mesh_sd
     mesh_sd = stated if any(one.states_mesh for one in tests) else None
-    settings, near = study.settings.explain, begin
+    settings, near = study.settings.explain, begin or near_fit(study, progress)
     adapter = adapter_for(study, None, progress, homes, near or {})
-    decided = decision(adapter, settings, study.file, progress, begin)
+    decided = decision(adapter, settings, study.file, progress, near)
     for _ in range(_WIDENED):
         grown = adapter.covering([decided.base])
         if grown is not adapter:  # what the effects change there is not in it either

@@ -8,8 +8,19 @@ from dataclasses import replace
 from types import MappingProxyType
 from typing import Any
 
+from calib.analyses.fit_statistics import fit_problem
+from calib.analyses.joint_responses import own_values
+from calib.analyses.least_squares import ended
 from calib.analyses.provenance.record import check_repeats, disagreements_table
-from calib.analyses.reduction import is_followed, point_near, reduction_near, reduction_of, training, worthwhile
+from calib.analyses.reduction import (
+    Reduction,
+    is_followed,
+    point_near,
+    reduction_near,
+    reduction_of,
+    training,
+    worthwhile,
+)
 from calib.analyses.uncertain import with_uncertain
 from calib.analyses.uncertainty import accuracy_words, assumed_words, std_notes
 from calib.correlation.basis import BasisRequirements
@@ -20,6 +31,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.errors.errors import InputError, ToleranceError
 from calib.execution.stage import Progress, silent
 from calib.experiment import FRFTest, ModalTest
+from calib.experiment.test import ForwardProblem
 from calib.hypotheses.discretisation_error import with_mesh_error
 from calib.hypotheses.function_perturbations import model_hypotheses
 from calib.hypotheses.hypotheses import ModelHypotheses
@@ -55,6 +67,38 @@ def adapter_for(
     `calib.analyses.reduction.is_followed`. Other arguments are as in `calib.analyses.explain.explain`.
     """
     return joined_adapter(adapters_for(study, results, progress, homes, near))
+
+
+_WIDENED = 4
+"""Times that a basis grows where a fit has led."""
+
+
+def near_fit(study: AnyStudy, progress: Progress = silent) -> dict[str, float] | None:
+    """Values to which least squares lead from the nominal ones, on reduced bases that grow there.
+
+    The base model is fitted near them, so that bases of effects are made there once. None where some test has no such
+    basis, or its model cannot be evaluated.
+    """
+    bases: dict[str, Reduction] = {}
+    for one in study.studies:
+        found = reduction_near(one) if is_followed(one) else None
+        if found is None:
+            return None
+        bases[one.test] = found
+    values = dict(study.search_space.values)
+    for _ in range(_WIDENED):
+        progress("calibrating the base model")
+        instead: dict[str, ForwardProblem] = {test: basis.problem for test, basis in bases.items()}
+        end = ended(fit_problem(study, None, instead), [values], 1)
+        if end is None:
+            return None
+        values, before = dict(end.best.values), dict(bases)
+        for one in study.studies:
+            own = own_values(one, values) if len(study.studies) > 1 else values
+            bases[one.test] = bases[one.test].covering([own])
+        if all(bases[test] is before[test] for test in bases):
+            break
+    return values
 
 
 def adapters_for(

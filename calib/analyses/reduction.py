@@ -214,14 +214,11 @@ def reduction_of(study: LoadedStudy, home: Results | None, progress: Progress = 
 
 
 def is_followed(study: LoadedStudy) -> bool:
-    """Whether least squares alone lead to the fits of a study: then a basis serves that grows where they end.
+    """Whether least squares lead to the fits of a study: then a basis serves that grows where they end.
 
-    It is modes that are compared, no parameter is an integer, and no genetic search is asked for.
+    It is modes that are compared, and no parameter is an integer, whose values lie apart.
     """
-    given = study.settings.calibration
-    searched = given.method == "genetic" or not given.refine or {"weight_freq", "weight_mac"} & given.model_fields_set
-    integer = any(p.integer for p in study.search_space.free)
-    return isinstance(study.problem, ModalProblem) and not (searched or integer)
+    return isinstance(study.problem, ModalProblem) and not any(p.integer for p in study.search_space.free)
 
 
 def point_near(study: LoadedStudy, values: Mapping[str, float]) -> dict[str, float]:
