@@ -43,7 +43,9 @@ _NEARER = 3e-6
 _REFINED = 0.1 * _ERROR
 """Accuracy of eigenvalues of refined modes: about the squared error of their shapes."""
 _EFFECTS = 4
-"""Effects solved from the same basis, as tasks that can be shared; all their shapes are in memory together."""
+"""Effects solved from the same basis, as tasks that can be shared: all their models and shapes are in memory."""
+_ROWS = 120_000
+"""Degrees of freedom of these models together, beyond which fewer of them are solved from the same basis."""
 _BATCH = 20
 """Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
 _MODES = 3
@@ -93,9 +95,10 @@ def effect_basis(
     room = _NUMBERS // (model.n_dof * basis.count)
     together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the span does not depend on it
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
-    for first in range(0, len(effects), _EFFECTS):
+    group = max(min(_EFFECTS, _ROWS // model.n_dof), 1)
+    for first in range(0, len(effects), group):
         progress(stage, first, len(effects) + batches)
-        few, known = effects[first : first + _EFFECTS], ReducedModel(model, replace(basis, vectors=vectors))
+        few, known = effects[first : first + group], ReducedModel(model, replace(basis, vectors=vectors))
         asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
         solved = each(_near, [known.extended([one]) for one in few], asked)
         for k in range(len(few)):
