@@ -8,8 +8,10 @@ import scipy.sparse as sp
 
 import calib
 from calib.analyses import case
+from calib.analyses.explain import explanation_of
 from calib.analyses.hypotheses_of_study import adapter_for
 from calib.analyses.reduction import reduction_near
+from calib.correlation.basis import BasisRequirements
 from calib.execution.stage import silent
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.linearised_fit import least_squares_fit
@@ -187,3 +189,24 @@ def test_a_basis_about_a_fit_grows_where_an_effect_leaves_it():
     truth = adapter.full_residual(strong)
     assert np.abs(good - truth).max() < 0.01 < np.abs(poor - truth).max()
     assert grown.covering([base, strong]) is grown
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("method", ["auto", "genetic"])
+def test_bases_of_effects_are_made_once_about_the_fit_whatever_calibrates_the_study(method, monkeypatch):
+    made, model = [], membrane()
+    own = BasisRequirements.with_effects
+
+    def counted(self, model, basis, space, effects, local, progress, at):
+        made.append(at)
+        return own(self, model, basis, space, effects, local, progress, at)
+
+    monkeypatch.setattr(BasisRequirements, "with_effects", counted)
+    problem = calib.Problem(model, measured_at(model, TRUE))
+    calibration = problem.settings.calibration.model_copy(update={"method": method})
+    study = problem.study(problem.settings.model_copy(update={"calibration": calibration}))
+    _, answer = explanation_of(study)
+    (about,) = made
+    base = answer.explanation.base.fit.values
+    for name, value in TRUE.items():
+        assert about[name] == pytest.approx(base[name], abs=0.05) and abs(value - 1.0) > 0.1
