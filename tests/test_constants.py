@@ -109,8 +109,7 @@ EFFORT = {  # of iterations and searches that end by themselves, and of quick ru
     "analyses/provenance/places.py": "QUICK_SAMPLES QUICK_POPULATION QUICK_GENERATIONS QUICK_STARTS "
     "QUICK_TRAJECTORIES QUICK_BASE QUICK_SAMPLED",
     "analyses/screening.py": "TRAJECTORIES BASE",
-    "analyses/explain.py": "_WIDENED",
-    "analyses/hypotheses_of_study.py": "_WIDENED",
+    "analyses/hypotheses_of_study.py": "WIDENED",
     "analyses/least_squares.py": "_WIDENED",
     "analyses/extend.py": "STARTS",
     "correlation/modal/axes.py": "_GROUPS",

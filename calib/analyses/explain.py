@@ -16,7 +16,7 @@ from calib.analyses.added import to_add
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.hypotheses_of_study import adapter_for, generic_note, near_fit
+from calib.analyses.hypotheses_of_study import WIDENED, adapter_for, generic_note, near_fit
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
@@ -115,7 +115,7 @@ def explanation_of(
     settings, near = study.settings.explain, begin or near_fit(study, progress)
     adapter = adapter_for(study, None, progress, homes, near or {})
     decided = decision(adapter, settings, study.file, progress, near)
-    for _ in range(_WIDENED):
+    for _ in range(WIDENED):
         grown = adapter.covering([decided.base])
         if grown is not adapter:  # what the effects change there is not in it either
             near = decided.base.fit.values
@@ -138,8 +138,6 @@ def explanation_of(
     return adapter, replace(answer, tables=tables, notes=notes, figures=figures)
 
 
-_WIDENED = 4
-"""Times that a decision is repeated on a basis that its fits had left."""
 _MESH_OF_NUMBERS = "The error of the mesh does not count here: an explanation knows it in modes and FRFs alone."
 
 

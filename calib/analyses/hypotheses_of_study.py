@@ -69,8 +69,8 @@ def adapter_for(
     return joined_adapter(adapters_for(study, results, progress, homes, near))
 
 
-_WIDENED = 4
-"""Times that a basis grows where a fit has led."""
+WIDENED = 4
+"""Times that a basis grows where fits have led: of a base model, and of a decision, which is made again."""
 
 
 def near_fit(study: AnyStudy, progress: Progress = silent) -> dict[str, float] | None:
@@ -86,7 +86,7 @@ def near_fit(study: AnyStudy, progress: Progress = silent) -> dict[str, float] |
             return None
         bases[one.test] = found
     values = dict(study.search_space.values)
-    for _ in range(_WIDENED):
+    for _ in range(WIDENED):
         progress("calibrating the base model")
         instead: dict[str, ForwardProblem] = {test: basis.problem for test, basis in bases.items()}
         end = ended(fit_problem(study, None, instead), [values], 1)
