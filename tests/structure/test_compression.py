@@ -107,6 +107,29 @@ def test_an_overdamped_root_that_the_smaller_problem_lacks_is_counted(monkeypatc
     assert corrected_eigenpairs(one, COUNT, ACCURACY) is None
 
 
+@pytest.mark.parametrize("speed", [5.0, 9.0, 9.9, 10.1, 12.0])
+@pytest.mark.parametrize("zeta", [0.0, 0.07, 0.9, 1.1, 3.0])
+def test_a_left_out_part_is_regular_as_far_as_its_lowest_root(zeta, speed):
+    """Of one coordinate the roots are known: a pair of modulus 10 rad/s, or the slower of two real ones."""
+    slowest = 10.0 * (zeta - np.sqrt(max(zeta**2 - 1, 0.0)) if zeta > 1 else 1.0)
+    one = DampedProblem(np.array([1.0, 1e-2]), np.diag([0.0, 2 * zeta / 10.0]), 1e-6)
+    assert module._is_regular(one, 1, np.zeros((1, 0)), speed) == (speed < slowest)
+
+
+def test_many_damped_oscillators_just_above_the_modes_wanted():
+    """As seats on the floor of a car: sixty at nearly one frequency, 5 % above the highest mode wanted."""
+    seats = np.random.default_rng(5).uniform(99.9, 100.1, 60)
+    omega = np.sort(np.concatenate([np.linspace(10.0, 95.0, 10), seats, np.geomspace(120, 1e3, 50)]))
+    one = problem(5, strength=0.1, omega=omega)
+    damping = one.damping.copy()
+    damping[10:70, 10:70] += 2 * 0.072 / 100.0 * np.eye(60)
+    one = DampedProblem(one.mass, damping, one.shift)
+    lam, _, _ = whole(one)
+    found = corrected_eigenpairs(one, COUNT, ACCURACY)
+    assert found is not None
+    np.testing.assert_allclose(split(one, found)[0], lam[:COUNT], rtol=1e-6)
+
+
 def test_damping_that_couples_everything_is_left_to_the_whole_problem():
     rng = np.random.default_rng(4)
     one = problem(4)

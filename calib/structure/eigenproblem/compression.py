@@ -20,9 +20,9 @@ _STRONG = 0.3
 """Damping force over stiffness above which a direction of the modes left out is added where they are not regular."""
 _WORTHWHILE = 0.55
 """Largest size of the smaller problem over that of the whole one."""
-_START = 0.1
+_START = 0.2
 """Largest error by the residual from which corrections are tried."""
-_STEPS = 6
+_STEPS = 12
 _ROOTS = 0.02
 """Largest error of overdamped roots: their number matters, and is compared by its changes of sign."""
 _ABOVE = 1.25
@@ -43,8 +43,9 @@ def corrected_eigenpairs(problem: DampedProblem, count: int, accuracy: float) ->
     The lowest undamped modes and the responses of the others to damping forces span a smaller problem (modal
     truncation with static correction, MacNeal 1971, here also with the response at the highest frequency). All of its
     eigenpairs are solved. Those wanted are then corrected in the whole space with an approximate inverse of
-    ``Z(lambda)``: that of the smaller problem by its eigenpairs, and for the rest that of the undamped modes; each step
-    has the length of the least residual (Davidson's method in its simplest form, Saad 2011, section 8.2).
+    ``Z(lambda)``: that of the smaller problem by its eigenpairs, and for the rest that of the undamped modes, each with
+    its own damping; each step leads along all directions so far to the least residual (Davidson's method for one
+    eigenpair at a time, Saad 2011, section 8.2).
 
     They are returned only if
 
@@ -183,6 +184,8 @@ class _Space:
     responses : ndarray (n - low, m)
     dissipation : ndarray (n, p)
         The damping times the space.
+    own_damping : ndarray (n - low,)
+        Of each mode left out, the responses projected out.
     """
 
     whole: DampedProblem
@@ -190,6 +193,7 @@ class _Space:
     low: int
     responses: np.ndarray
     dissipation: np.ndarray
+    own_damping: np.ndarray
 
     def eigenpairs(self) -> tuple[np.ndarray, np.ndarray]:
         """All finite eigenvalues of the smaller problem, and motions (p, m) scaled as in `Modes`."""
@@ -226,12 +230,21 @@ def _left_out(matrix: np.ndarray, responses: np.ndarray) -> np.ndarray:
 def _is_regular(problem: DampedProblem, low: int, responses: np.ndarray, speed: float) -> bool:
     """Whether the left-out part of Z is regular at every ``|lambda| <= speed``: its field of values excludes zero.
 
-    For any unit x, ``|x^H Z(lambda) x| >= 1 - |lambda| x^H C x - (|lambda|^2 + shift^2) x^H M x``, which is positive
-    where the Cholesky factor of that matrix exists.
+    For any unit x, ``x^H Z(lambda) x = k + lambda c + lambda^2 m`` with ``k = 1 - shift^2 m``, c and m not negative.
+    Its roots are a pair of modulus ``sqrt(k/m)``, or real and negative, of that geometric mean. All lie beyond
+    ``speed`` exactly where ``k > speed^2 m`` and ``k - speed c + speed^2 m > 0`` for every x: where two Cholesky
+    factors exist.
     """
-    matrix = -speed * problem.damping[low:, low:]
-    matrix[np.diag_indices_from(matrix)] -= (speed**2 + problem.shift**2) * problem.mass[low:]
-    matrix = _left_out(matrix, responses)
+    inertia, square = problem.mass[low:], problem.shift**2
+    dissipation = -speed * problem.damping[low:, low:]
+    return all(
+        _is_positive_with_one(_left_out(matrix, responses))
+        for matrix in (np.diag(-(square + speed**2) * inertia), dissipation + np.diag((speed**2 - square) * inertia))
+    )
+
+
+def _is_positive_with_one(matrix: np.ndarray) -> bool:
+    """Whether a symmetric matrix plus the identity is positive definite."""
     matrix[np.diag_indices_from(matrix)] += 1.0
     return bool(la.lapack.dpotrf(matrix, lower=1)[1] == 0)
 
@@ -264,7 +277,10 @@ def _space(problem: DampedProblem, count: int) -> _Space | None:
     small_mass[np.arange(low), np.arange(low)] = mass[:low]
     small_mass[low:, low:] = responses.T @ (mass[low:, None] * responses)
     small_damping = np.concatenate([dissipation[:low], responses.T @ dissipation[low:]])
-    return _Space(problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation)
+    own_damping = np.diag(_left_out(damping[low:, low:], responses))
+    return _Space(
+        problem, DampedProblem(small_mass, small_damping, problem.shift), low, responses, dissipation, own_damping
+    )
 
 
 def _corrected(
@@ -275,6 +291,7 @@ def _corrected(
     The others need only be accurate enough to lie above those.
     """
     whole, low, found, known = space.whole, space.low, space.lifted(lam, shapes, which), lam.copy()
+    directions: list[tuple[np.ndarray, np.ndarray]] = []
     for step in range(_STEPS + 1):
         size = np.abs(found.values)
         last = np.partition(size, count - 1)[count - 1]
@@ -282,7 +299,8 @@ def _corrected(
             return found.subset(np.argsort(size, kind="stable")[:count])
         if step == _STEPS:
             break
-        flexibility = 1.0 / (1.0 + (found.values**2 - whole.shift**2) * whole.mass[low:, None])
+        squares = found.values**2 - whole.shift**2
+        flexibility = 1.0 / (1.0 + found.values * space.own_damping[:, None] + squares * whole.mass[low:, None])
         change = np.zeros_like(found.motions)
         change[low:] = -space.outside(flexibility * space.outside(found.residual[low:]))
         dissipation = real_times(whole.damping[:, low:], change[low:])
@@ -292,7 +310,8 @@ def _corrected(
         gap = found.values - known[:, None]
         own = np.abs(gap) <= _SAME * np.abs(found.values)
         parts = shapes @ np.where(own, 0.0, (shapes.T @ rest) / np.where(own, 1.0, gap))
-        found = found.moved(change - space.expanded(parts), dissipation - real_times(space.dissipation, parts))
+        directions.append((change - space.expanded(parts), dissipation - real_times(space.dissipation, parts)))
+        found = found.moved(directions)
     return None
 
 

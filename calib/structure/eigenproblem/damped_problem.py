@@ -10,6 +10,9 @@ import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
+_ALIKE = 1e-12
+"""Added to the Gram matrix of unit forces, so that directions that are alike have finite lengths."""
+
 
 @dataclass(frozen=True, eq=False)
 class DampedProblem:
@@ -130,15 +133,20 @@ class Eigenpairs:
         squares = self.values**2 - self.problem.shift**2
         return np.asarray(squares * self.problem.inertia(motions) + self.values * dissipation + motions)
 
-    def moved(self, change: np.ndarray, dissipation: np.ndarray) -> Eigenpairs:
-        """With motions changed along given ones (n, m) with their ``C y``, as far as the least residual.
+    def moved(self, directions: list[tuple[np.ndarray, np.ndarray]]) -> Eigenpairs:
+        """With motions changed along given ones (n, m), each with its ``C y``, to the least residual.
 
         The eigenvalue is the nearest root of ``x^T Z(lambda) x = 0``, whose error is of second order in that of x.
         """
-        force = self.forces(change, dissipation)
-        length = -np.einsum("ij,ij->j", force.conj(), self.residual)
-        length = length / np.maximum(_squared(force), 1e-300)
-        motions, dissipation = self.motions + length * change, self.dissipation + length * dissipation
+        forces = np.stack([self.forces(*direction) for direction in directions])
+        gram = np.einsum("kij,lij->jkl", forces.conj(), forces)
+        sizes = np.sqrt(np.maximum(np.einsum("jkk->jk", gram).real, 1e-300))
+        gram = gram / sizes[:, :, None] / sizes[:, None, :] + _ALIKE * np.eye(len(directions))
+        along = -np.einsum("kij,ij->jk", forces.conj(), self.residual) / sizes
+        lengths = (np.linalg.solve(gram, along[:, :, None])[:, :, 0] / sizes).T
+        motions, dissipation = self.motions, self.dissipation
+        for length, (change, its_dissipation) in zip(lengths, directions, strict=True):
+            motions, dissipation = motions + length * change, dissipation + length * its_dissipation
         a = np.einsum("ij,ij->j", motions, self.problem.inertia(motions))
         b = np.einsum("ij,ij->j", motions, dissipation)
         c = np.einsum("ij,ij->j", motions, motions) - self.problem.shift**2 * a
