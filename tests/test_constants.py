@@ -85,8 +85,9 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
     "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH "
     "_NEGLIGIBLE _PARALLEL",
-    "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _NEARER _REFINED _BATCH _MODES "
-    "_TOGETHER _NUMBERS _ROWS",
+    "structure/eigenproblem/damped_problem.py": "_ALIKE",
+    "structure/reduction/effect_basis.py": "_EFFECTS _POINTS _STRONG _ERROR _NEARER _REFINED _ROWS",
+    "structure/reduction/local_derivatives.py": "TOGETHER _ROUNDS _SURE _FORCE _COLUMNS",
     "structure/reduction/frf_target.py": "TOLERANCE _BEYOND _SHAPE _LINES",
     "structure/reduction/basis.py": "_ROOM",
     "structure/reduction/growth.py": "SAFETY POD _SHARES _STATIC _COLUMNS VERIFIED _LOCAL _STRAINED",

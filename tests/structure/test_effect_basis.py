@@ -11,7 +11,6 @@ from calib.structure.effects.attach import hung_masses, outer_term
 from calib.structure.effects.extend import Addition, extend
 from calib.structure.effects.perturbations import perturbations
 from calib.structure.eigenproblem.derivatives import mode_derivatives
-from calib.structure.reduction import effect_basis as effect_basis_module
 from calib.structure.reduction.effect_basis import effect_basis
 from calib.structure.reduction.growth import Growth
 from calib.structure.reduction.reduced import ReducedModel, reference_matrix
@@ -70,24 +69,6 @@ def errors(model, basis, effect, magnitude):
     mac = np.abs(np.einsum("ij,ij->j", a.conj(), b)) ** 2
     mac /= np.einsum("ij,ij->j", a.conj(), a).real * np.einsum("ij,ij->j", b.conj(), b).real
     return np.abs(found.natural_freq / full.natural_freq - 1).max(), np.max(1 - mac)
-
-
-def test_less_memory_gives_the_same_basis(made, monkeypatch):
-    model, trained, _, local = made
-    batches, derivatives = [], effect_basis_module._derivatives
-    monkeypatch.setattr(
-        effect_basis_module, "_derivatives", lambda *given: batches.append(len(given[4])) or derivatives(*given)
-    )
-    monkeypatch.setattr(effect_basis_module, "_BATCH", 3)
-    found = []
-    for numbers in (10**9, 7 * N * COUNT, 0):
-        monkeypatch.setattr(effect_basis_module, "_NUMBERS", numbers)
-        found.append(effect_basis(model, trained, model.space, EFFECTS[:1], local, seed=2).vectors)
-    few, some = len(local), [min(6, len(local) - k) for k in range(0, len(local), 6)]
-    assert batches == [few, *some, *(min(3, few - k) for k in range(0, few, 3))] and len(some) > 1
-    spans = [vectors @ vectors.T for vectors in found]  # directions of equal energy may be turned
-    for span in spans[1:]:
-        np.testing.assert_allclose(span, spans[0], atol=1e-7 * np.abs(spans[0]).max())
 
 
 @pytest.mark.parametrize("effect", EFFECTS, ids=lambda e: e.name)

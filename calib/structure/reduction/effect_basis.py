@@ -6,11 +6,8 @@ import contextlib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from itertools import islice
 
 import numpy as np
-import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress, silent
@@ -19,13 +16,12 @@ from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation
-from calib.structure.eigenproblem.derivatives import ModeDerivatives, mode_derivatives
-from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.frf_target import FRFTarget
 from calib.structure.reduction.growth import Growth, next_round
+from calib.structure.reduction.local_derivatives import TOGETHER, LocalDerivatives, grounded
 from calib.structure.reduction.mode_target import REFINED
 from calib.structure.reduction.reduced import ReducedModel
 from calib.structure.reduction.refinement import modes_near, real_columns
@@ -46,14 +42,6 @@ _EFFECTS = 4
 """Effects solved from the same basis, as tasks that can be shared: all their models and shapes are in memory."""
 _ROWS = 120_000
 """Degrees of freedom of these models together, beyond which fewer of them are solved from the same basis."""
-_BATCH = 20
-"""Perturbations per batch: principal directions of all at once cost far more and save few vectors."""
-_MODES = 3
-"""Modes per task: each has a factor of its own, and all of them need the derivatives of the matrices."""
-_TOGETHER = 80
-"""Perturbations solved with one set of factors; fewer where their derivatives are more than ``_NUMBERS``."""
-_NUMBERS = 60_000_000
-"""Complex numbers of derivatives in memory, a gigabyte."""
 
 
 def effect_basis(
@@ -92,9 +80,7 @@ def effect_basis(
     """
     growth, points = Growth(model, basis), _points(space, seed) if at is None else [dict(at)]
     middle, vectors, error = points[0], basis.vectors, _ERROR if at is None else _NEARER
-    room = _NUMBERS // (model.n_dof * basis.count)
-    together = min(_TOGETHER, max(room // _BATCH, 1) * _BATCH)  # whole batches: the span does not depend on it
-    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / together)
+    stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / TOGETHER)
     group = max(min(_EFFECTS, _ROWS // model.n_dof), 1)
     for first in range(0, len(effects), group):
         progress(stage, first, len(effects) + batches)
@@ -104,15 +90,13 @@ def effect_basis(
         for k in range(len(few)):
             seen = (_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k)
             vectors = growth.widened(vectors, seen, error)
-    nominal = model.modes(middle, basis.count)
-    local = _local_factor(growth, middle) if any(_grounded(one) for one in perturbations) else None
-    for first in range(0, len(perturbations), together):
-        progress(stage, len(effects) + first // together, len(effects) + batches)
-        some = perturbations[first : first + together]
-        wider = extend(model, [one.effect for one in some])
-        slopes = _derivatives(growth, wider, middle, nominal, some, basis, local)
-        for _ in range(0, len(some), _BATCH):
-            vectors = growth.widened(vectors, islice(slopes, _BATCH), error)
+    if perturbations:
+        basis = replace(basis, vectors=vectors)
+        local = LocalDerivatives(growth, basis, middle, model.modes(middle, basis.count))
+        for number, first in enumerate(range(0, len(perturbations), TOGETHER)):
+            progress(stage, len(effects) + number, len(effects) + batches)
+            local.add(perturbations[first : first + TOGETHER], error)
+        vectors = local.vectors
     return replace(basis, vectors=vectors, version=basis.version + 1)
 
 
@@ -206,63 +190,6 @@ def _unit(growth: Growth, modes: Modes, rows: int, basis: Basis) -> np.ndarray:
     return real_columns(kept)
 
 
-def _derivatives(
-    growth: Growth,
-    model: StructuralModel,
-    point: Mapping[str, float],
-    modes: Modes,
-    perturbations: Sequence[Perturbation],
-    basis: Basis,
-    local: spla.SuperLU | None,
-) -> Iterator[np.ndarray]:
-    """Derivatives of a model's modes by each perturbation, (n_dof, m) with real and imaginary parts.
-
-    Perturbations add no degrees of freedom and have magnitude 0 at the point.
-    """
-    chosen = np.flatnonzero(modes.natural_freq <= basis.freq_max)
-    some = [chosen[k : k + _MODES] for k in range(0, len(chosen), _MODES)]
-    parts = each(_slopes, (model, point, modes, [a.effect.name for a in perturbations]), some)
-    shapes = modes.shapes[:, chosen]
-    size = np.sqrt(np.einsum("ij,ij->j", shapes.conj(), growth.matrix @ shapes).real)
-    usable = np.hstack([part.regular for part in parts]) & (modes.damping_ratio[chosen] < basis.damping_max)
-    for one, *own in zip(perturbations, *(part.shapes for part in parts), strict=True):
-        column = np.hstack(own)[:, usable] * (_weight(growth, model, one, local) / size[usable])
-        yield real_columns(column)
-
-
-def _slopes(
-    shared: tuple[StructuralModel, Mapping[str, float], Modes, list[str]], which: np.ndarray
-) -> ModeDerivatives:
-    model, point, modes, names = shared
-    return mode_derivatives(model, point, modes, names, which)
-
-
 def weight_key(perturbation: Perturbation) -> tuple[str, float]:
     """Name of a perturbation, and what its weight in a basis depends on beside the model."""
-    return perturbation.effect.name, RULES.local if _grounded(perturbation) else perturbation.effect.plausible
-
-
-def _grounded(perturbation: Perturbation) -> bool:
-    return bool(perturbation.sensor) and perturbation.kind == "stiffness"
-
-
-def _local_factor(growth: Growth, point: Mapping[str, float]) -> spla.SuperLU:
-    """Factor of ``K + omega^2 M`` at the lowest frequency of the reference model: it gives flexibilities at places."""
-    stiffness, _, mass = growth.model.matrices(point)
-    shift = (2 * np.pi * growth.modes.natural_freq[0]) ** 2
-    return symmetric_factor(sp.csc_array(stiffness + shift * mass))
-
-
-def _weight(growth: Growth, model: StructuralModel, perturbation: Perturbation, local: spla.SuperLU | None) -> float:
-    """Magnitude by which the derivative by a perturbation is weighed.
-
-    The plausible one of a grounded spring is scaled by a measured frequency; here by the lowest of the reference
-    model, so that measurements of other values need no other basis.
-    """
-    if local is None or not _grounded(perturbation):
-        return perturbation.effect.plausible
-    (matrix,) = (term.matrix for term in model.stiffness.terms if term.name == perturbation.effect.name)
-    touched = np.unique(matrix.indices)
-    forces = np.zeros((growth.model.n_dof, len(touched)))
-    forces[touched] = matrix[touched][:, touched].toarray()  # b b^T: the trace of its responses is the flexibility
-    return RULES.local / float(np.trace(local.solve(forces)[touched]))
+    return perturbation.effect.name, RULES.local if grounded(perturbation) else perturbation.effect.plausible

@@ -289,8 +289,7 @@ class Snapshots:
             return self._basis
         energies, turn = la.eigh(self._gram)
         energies, turn = energies[::-1], turn[:, ::-1]
-        left = own[:, None] - np.cumsum(energies * turn**2, axis=1)
-        size = int(np.argmax(left.max(axis=0) < error)) + 1
+        size = fewest(energies * turn**2, error)
         size = min(size, int(np.count_nonzero(energies > 1e-13 * energies[0])))
         growth, ends = self._growth, np.cumsum([part.shape[1] for part in self._parts])[:-1]
         weights = np.split(turn[:, :size] / np.sqrt(energies[:size]), ends)
@@ -298,6 +297,15 @@ class Snapshots:
         for part, weight in zip(self._parts, weights, strict=True):
             found += part @ weight
         return np.hstack([self._basis, growth.spanned(growth.project_out(found, self._basis), 0.0)])
+
+
+def fewest(parts: np.ndarray, error: float) -> int:
+    """How many principal directions represent every vector to a squared error.
+
+    ``parts`` (n_vectors, n_directions) are the squares of each vector along all directions, the principal one first.
+    """
+    beyond = np.cumsum(parts[:, ::-1], axis=1)[:, ::-1]
+    return int(np.count_nonzero(beyond.max(axis=0, initial=0.0) >= error))
 
 
 def products(energy: sp.csc_array, vectors: np.ndarray) -> np.ndarray:

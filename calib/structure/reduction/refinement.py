@@ -56,7 +56,7 @@ class GrowingSpace:
             self.basis, self.projected = self.basis[:, :0], tuple(one[:0, :0] for one in self.projected)
         more = new / self._scale
         self.projected = tuple(
-            _bordered(inner, self.basis, more, matrix)
+            projected_with(inner, self.basis, more, matrix)
             for inner, matrix in zip(self.projected, self._matrices, strict=True)
         )
         self.basis = np.hstack([self.basis, more])
@@ -67,7 +67,7 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
     return directions
 
 
-def _bordered(inner: np.ndarray, old: np.ndarray, new: np.ndarray, matrix: sp.csc_array) -> np.ndarray:
+def projected_with(inner: np.ndarray, old: np.ndarray, new: np.ndarray, matrix: sp.csc_array) -> np.ndarray:
     """A symmetric matrix projected on old and new directions, from that on the old ones."""
     image = matrix @ new
     beside, corner = old.T @ image, new.T @ image

@@ -1,0 +1,246 @@
+"""Span of the derivatives of modes by local perturbations, from responses to their own forces with one real factor."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.linalg as la
+import scipy.sparse as sp
+
+from calib.errors.errors import EvaluationError
+from calib.structure.effects.extend import extend
+from calib.structure.effects.perturbations import Perturbation
+from calib.structure.eigenproblem.damped_problem import real_times
+from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.mode_systems import NEIGHBOUR, eigenvalues
+from calib.structure.modes import Modes
+from calib.structure.reduction.basis import Basis
+from calib.structure.reduction.growth import Growth, fewest
+from calib.structure.reduction.refinement import projected_with, real_columns
+from calib.structure.rules import RULES
+
+TOGETHER = 40
+"""Perturbations whose responses are in memory together."""
+_ROUNDS = 4
+"""Times that what the derivatives lack is added."""
+_SURE = 0.1
+"""Estimated squared error of a derivative, over the one allowed, at which nothing is added for it."""
+_FORCE = 1e-3
+"""Forces of a perturbation on the modes, over the largest, that have a static response of their own."""
+_COLUMNS = 64
+"""Columns that are solved at a time."""
+
+
+class LocalDerivatives:
+    """A basis that grows by derivatives of a model's modes by local perturbations, at one point.
+
+    The derivative by a perturbation solves ``Z(lambda) x = -F`` at each mode's eigenvalue. Its part outside the basis
+    has no share of the modes, so that it varies little from mode to mode: the static response to the perturbation's
+    forces holds most of it. The derivatives are solved on the basis and these responses (Galerkin); what the equations
+    of a perturbation lack is summed over its modes with random phases, whose static response has in the mean the energy
+    of all their errors (Hutchinson 1990) and is the direction to add. Principal directions of the derivatives so found
+    extend the basis.
+
+    Parameters
+    ----------
+    growth : Growth
+        Of the basis.
+    basis : Basis
+        Modes up to its highest frequency and damping count.
+    point : mapping
+    modes : Modes
+        All modes known at the point.
+    """
+
+    def __init__(self, growth: Growth, basis: Basis, point: Mapping[str, float], modes: Modes) -> None:
+        model = growth.model
+        self._growth, self._point = growth, point
+        self.vectors = basis.vectors
+        self._matrices = model.matrices(point)
+        shift = (2 * np.pi * growth.modes.natural_freq[0]) ** 2
+        dynamic = sp.csc_array(self._matrices[0] + shift * self._matrices[2])
+        self._factor, self._diagonal = symmetric_factor(dynamic), dynamic.diagonal()
+        upper = eigenvalues(modes)
+        self._lam, self._shapes = np.concatenate([upper, upper.conj()]), np.hstack([modes.shapes, modes.shapes.conj()])
+        counted = (modes.natural_freq <= basis.freq_max) & (modes.damping_ratio < basis.damping_max)
+        self._modes = np.flatnonzero(counted)
+        own = modes.shapes[:, self._modes]
+        self._size = np.sqrt(np.einsum("ij,ij->j", own.conj(), growth.matrix @ own).real)
+        self._inertia, self._dissipation = (real_times(matrix, self._shapes) for matrix in self._matrices[:0:-1])
+        self._small = tuple(self.vectors.T @ (matrix @ self.vectors) for matrix in self._matrices)
+
+    def add(self, perturbations: Sequence[Perturbation], error: float) -> None:
+        """Extend the basis to represent derivatives by perturbations of magnitude 0 at the point.
+
+        Each is weighed by its plausible magnitude, and represented to a squared error relative to the strain energy of
+        its mode. Perturbations add no degrees of freedom. EvaluationError where a mode's equations are singular.
+        """
+        forces = self._forces(perturbations)
+        space = self._with(_Space(self.vectors, self._small), self._solved(self._static(forces)), error)
+        waiting = np.arange(len(forces))
+        rng = np.random.default_rng(len(self.vectors))
+        for turn in range(_ROUNDS + 1):
+            solved = self._galerkin(space, forces)
+            if turn == _ROUNDS or not len(waiting):
+                break
+            rest = self._lacking(space, solved, [forces[k] for k in waiting], waiting, rng)
+            response = self._solved(rest)
+            energy = 2 * np.einsum("ij,ij->j", rest, response)  # half of it is in the real part
+            large = energy > _SURE * error
+            waiting = waiting[large]
+            if not len(waiting):
+                break
+            space = self._with(space, response[:, large], error)
+        old = self.vectors.shape[1]
+        scale = np.array([one.weight for one in forces]) / self._size[:, None, None]
+        found = real_columns(np.hstack([*(solved.motions[:, old:] * scale)]))
+        turn = la.eigh(found @ found.T)[1][:, ::-1]
+        turn = turn[:, : fewest((found.T @ turn) ** 2, error)]
+        self.vectors = np.hstack([self.vectors, space.vectors[:, old:] @ turn])
+        whole = la.block_diag(np.eye(old), turn)
+        self._small = tuple(whole.T @ matrix @ whole for matrix in space.small)
+
+    def _forces(self, perturbations: Sequence[Perturbation]) -> list[_Forces]:
+        model = extend(self._growth.model, [one.effect for one in perturbations])
+        shapes, lam = self._shapes[:, self._modes], self._lam[self._modes]
+        found = []
+        for one in perturbations:
+            touched = np.zeros(len(shapes), dtype=bool)
+            slopes = [sp.csr_array(slope) for slope in model.matrix_derivatives(self._point, one.effect.name)]
+            for slope in slopes:
+                touched |= np.diff(slope.indptr) > 0
+            rows = np.flatnonzero(touched)
+            total = np.zeros((len(rows), len(lam)), dtype=complex)
+            for slope, power in zip(slopes, (0, 1, 2), strict=True):
+                if slope.nnz:
+                    total += lam**power * real_times(sp.csc_array(slope[rows]), shapes)
+            found.append(_Forces(rows, total, self._weight(one, slopes[0])))
+        return found
+
+    def _weight(self, perturbation: Perturbation, stiffness: sp.csr_array) -> float:
+        """Magnitude by which the derivative by a perturbation is weighed.
+
+        The plausible one of a grounded spring is scaled by a measured frequency; here by the lowest of the reference
+        model, so that measurements of other values need no other basis.
+        """
+        if not grounded(perturbation):
+            return perturbation.effect.plausible
+        touched = np.unique(stiffness.indices)
+        energies, turn = la.eigh(stiffness[touched][:, touched].toarray())
+        kept = energies > 1e-10 * energies[-1]
+        forces = np.zeros((len(self.vectors), int(kept.sum())))
+        forces[touched] = turn[:, kept] * np.sqrt(energies[kept])
+        return RULES.local / float(np.einsum("ij,ij->", forces, self._factor.solve(forces)))
+
+    def _static(self, forces: Sequence[_Forces]) -> np.ndarray:
+        """Independent forces of every perturbation, in the scale of its weight, (n_dof, m)."""
+        columns = []
+        for one in forces:
+            scale = np.sqrt(self._diagonal[one.rows])[:, None]
+            parts = real_columns(one.values * (one.weight / self._size)) / scale
+            left, sizes, _ = la.svd(parts, full_matrices=False, check_finite=False)
+            kept = sizes > _FORCE * sizes.max(initial=0.0)
+            column = np.zeros((len(self.vectors), int(kept.sum())))
+            column[one.rows] = scale * left[:, kept] * sizes[kept]
+            columns.append(column)
+        return np.hstack(columns)
+
+    def _solved(self, forces: np.ndarray) -> np.ndarray:
+        """Static responses, with the shift that keeps the factor regular."""
+        out = np.empty_like(forces)
+        for first in range(0, forces.shape[1], _COLUMNS):
+            some = slice(first, first + _COLUMNS)
+            out[:, some] = self._factor.solve(np.ascontiguousarray(forces[:, some]))
+        return out
+
+    def _with(self, space: _Space, columns: np.ndarray, error: float) -> _Space:
+        """The space with columns added, orthonormal in the energy; negligible directions are dropped."""
+        grown = self._growth.added(space.vectors, columns, _FORCE * error)
+        new = grown[:, space.vectors.shape[1] :]
+        small = tuple(
+            projected_with(inner, space.vectors, new, matrix)
+            for inner, matrix in zip(space.small, self._matrices, strict=True)
+        )
+        return _Space(grown, small)
+
+    def _galerkin(self, space: _Space, forces: Sequence[_Forces]) -> _Solved:
+        """Derivatives of every mode on a space, but for their part in the modes close to it."""
+        w = space.vectors
+        inertia, dissipation = (real_times(w.T, columns) for columns in (self._inertia, self._dissipation))
+        right = [real_times(w[one.rows].T, one.values) for one in forces]
+        stiffness, damping, mass = space.small
+        motions = np.zeros((len(self._modes), w.shape[1], len(forces)), dtype=complex)
+        borders = []
+        for k, mode in enumerate(self._modes):
+            lam = self._lam[mode]
+            near = np.flatnonzero(np.abs(self._lam - lam) <= NEIGHBOUR * abs(lam))
+            border = inertia[:, near] * (lam + self._lam[near]) + dissipation[:, near]
+            size = float(np.abs(border).max(initial=0.0)) or 1.0
+            whole = np.zeros((w.shape[1] + len(near),) * 2, dtype=complex)
+            whole[: w.shape[1], : w.shape[1]] = stiffness + lam * damping + lam**2 * mass
+            whole[: w.shape[1], w.shape[1] :] = border / size
+            whole[w.shape[1] :, : w.shape[1]] = border.T / size
+            given = np.zeros((len(whole), len(forces)), dtype=complex)
+            given[: w.shape[1]] = -np.column_stack([one[:, k] for one in right])
+            try:
+                both = np.linalg.solve(whole, given)
+            except np.linalg.LinAlgError as fault:
+                raise EvaluationError(f"derivatives of mode {k + 1} cannot be solved ({fault})") from fault
+            motions[k] = both[: w.shape[1]]
+            borders.append((near, both[w.shape[1] :] / size))
+        return _Solved(motions, borders)
+
+    def _lacking(
+        self, space: _Space, solved: _Solved, forces: Sequence[_Forces], which: np.ndarray, rng: np.random.Generator
+    ) -> np.ndarray:
+        """Residual forces of perturbations, summed over modes with random phases, (n_dof, m), real."""
+        lam = self._lam[self._modes]
+        turn = np.exp(2j * np.pi * rng.random((len(lam), len(forces))))
+        turn *= np.array([one.weight for one in forces]) / self._size[:, None]
+        own = solved.motions[:, :, which]
+        out = np.zeros((len(space.vectors), len(forces)))
+        for matrix, power in zip(self._matrices, (0, 1, 2), strict=True):
+            if matrix.nnz:
+                small = np.einsum("kp,kip->ip", turn * lam[:, None] ** power, own).real
+                out += matrix @ (space.vectors @ small)
+        by_inertia, by_damping = (np.zeros((len(self._lam), len(forces)), dtype=complex) for _ in range(2))
+        for k, (near, factors) in enumerate(solved.borders):
+            held = factors[:, which] * turn[k]
+            by_damping[near] += held
+            by_inertia[near] += held * (lam[k] + self._lam[near])[:, None]
+        out += (self._inertia @ by_inertia + self._dissipation @ by_damping).real
+        for p, one in enumerate(forces):
+            out[one.rows, p] += (one.values @ turn[:, p]).real
+        return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Forces:
+    """Forces of a perturbation on each mode, (n_rows, n_modes), at the rows that it reaches, and its weight."""
+
+    rows: np.ndarray
+    values: np.ndarray
+    weight: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Space:
+    """Vectors (n_dof, n), and K, C, M over them, (n, n)."""
+
+    vectors: np.ndarray
+    small: tuple[np.ndarray, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _Solved:
+    """Derivatives (n_modes, n, n_perturbations) over a space; of each mode, what holds its close modes, by these."""
+
+    motions: np.ndarray
+    borders: list[tuple[np.ndarray, np.ndarray]]
+
+
+def grounded(perturbation: Perturbation) -> bool:
+    """Whether a perturbation is a spring to the ground at a sensor."""
+    return bool(perturbation.sensor) and perturbation.kind == "stiffness"
