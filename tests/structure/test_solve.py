@@ -366,3 +366,16 @@ def test_frequencies_beside_rigid_motions_are_as_good_as_their_shapes():
     given = np.where(np.arange(12) > 0, squares * (1 + 1e-6), 1e-17)
     found = solve._refined(given, rough, stiffness, sp.csc_array(np.eye(12)), 1e-6)
     assert found[0] == 1e-17 and found[1:] == pytest.approx(squares[1:], rel=1e-9)
+
+
+def test_rigid_motions_are_known_before_modes_are_requested(monkeypatch):
+    """Three free chains of springs, each with its closed form: the iteration runs once, for three more than wanted."""
+    size, asked = 300, []
+    chain = sp.diags([np.ones(size - 1), -np.ones(size - 1)], [0, 1], shape=(size - 1, size))
+    stiffness = sp.csc_array(sp.block_diag([1e4 * (chain.T @ chain)] * 3))
+    iteration = solve.spla.eigsh
+    monkeypatch.setattr(solve.spla, "eigsh", lambda *a, k, **more: asked.append(k) or iteration(*a, k=k, **more))
+    found = solve_modes(stiffness, None, sp.csc_array(sp.identity(3 * size)), 9)
+    omega = 2 * 1e2 * np.sin(np.pi * np.arange(1, 4) / (2 * size))
+    np.testing.assert_allclose(found.natural_freq, np.repeat(omega, 3) / (2 * np.pi), rtol=1e-9)
+    assert asked == [12] and len(found.excluded) == 3

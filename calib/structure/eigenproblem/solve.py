@@ -30,6 +30,9 @@ _ROUNDINGS = 4.0
 _SHIFT = 1e-10
 """Square of the shift over the largest local eigenvalue: keeps the factor regular when rigid-body modes exist."""
 
+_RIGID = 8
+"""Most rigid-body motions and mechanisms that are counted before the modes are requested."""
+
 _TURNING = 10.0
 """Limit of the largest local eigenvalue of rotations over that of translations, for the shift."""
 
@@ -130,7 +133,7 @@ def _real_modes(
     stiffness: sp.csc_array, mass: sp.csc_array, count: int, shift: float, rotational_share: RotationalShare
 ) -> Modes:
     n = stiffness.shape[0]
-    requested = count
+    requested, again = count, False
     while True:
         if n <= DENSE_LIMIT or requested >= n - 1:
             squares, shapes = _dense_real(stiffness, mass, shift)
@@ -139,6 +142,8 @@ def _real_modes(
             lu = symmetric_factor(sp.csc_array(stiffness + shift**2 * mass))
             if answers_with_null_motion(lu.solve, stiffness, mass):
                 _refuse_null_motions(stiffness, mass)
+            if not again:
+                requested = min(count + _rigid_count(lu, stiffness, mass, shift), n - 2)
             squares, shapes = spla.eigsh(
                 sp.csr_matrix(stiffness),
                 k=requested,
@@ -150,9 +155,28 @@ def _real_modes(
             squares = _refined(squares, shapes, stiffness, mass, shift)
             squares, shapes = _with_deflated_real(squares, shapes, lu, stiffness, mass, count, shift)
             complete = False
-        if complete or np.count_nonzero(~is_zero(squares, shift)) >= count:
+        lacking = count - int(np.count_nonzero(~is_zero(squares, shift)))
+        if complete or lacking <= 0:
             return real_modes(squares, shapes, mass, count, shift, rotational_share)
-        requested = min(2 * requested, n)
+        # Few are mostly lacking: twice as many modes take more than twice as long.
+        requested, again = min(2 * requested if again else requested + 2 * lacking + 4, n), True
+
+
+def _rigid_count(lu: spla.SuperLU, stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> int:
+    """Number of rigid-body motions and mechanisms, up to `_RIGID`, by inverse iteration, of one vector first.
+
+    They come first: a request without them would hold too few modes, and the whole iteration would be repeated.
+    """
+    for columns in (1, _RIGID):
+        motions = np.random.default_rng(20110713).standard_normal((mass.shape[0], columns))
+        for _ in range(2):
+            motions = np.linalg.qr(lu.solve(mass @ motions))[0]
+        inertia = motions.T @ (mass @ motions)
+        inverse = la.eigvalsh(inertia, motions.T @ (stiffness @ motions) + shift**2 * inertia)
+        count = int(np.count_nonzero(is_zero(1.0 / np.maximum(inverse, 1e-300) - shift**2, shift)))
+        if not count:
+            return 0
+    return count
 
 
 def _refined(
