@@ -66,7 +66,7 @@ ROUNDING = {  # tolerances of arithmetic, far below what any verdict tells apart
     "structure/places.py": "_LITTLE _STRAIGHT",
     "structure/effects/point_compositions.py": "_ROUNDED _SAME",
     "structure/reduction/refinement.py": "_ALONG ACCURACY _CLEAR _ORTHOGONAL _SHIFT",
-    "structure/eigenproblem/solve.py": "_COPY _ROUNDINGS _SHIFT _TURNING",
+    "structure/eigenproblem/solve.py": "_COPY _RIGID _ROUNDINGS _SHIFT _TURNING",
     "structure/eigenproblem/solve_dense.py": "_SHIFT",
     "structure/elongations.py": "_ELASTIC _ROUNDED",
     "structure/mounted.py": "_AT_POINT",
