@@ -16,6 +16,7 @@ from calib.problem.effect import Effect
 from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation
+from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
@@ -24,7 +25,7 @@ from calib.structure.reduction.growth import Growth, next_round
 from calib.structure.reduction.local_derivatives import TOGETHER, LocalDerivatives, grounded
 from calib.structure.reduction.mode_target import REFINED
 from calib.structure.reduction.reduced import ReducedModel
-from calib.structure.reduction.refinement import modes_near, real_columns
+from calib.structure.reduction.refinement import modes_near, real_columns, undamped_counts
 from calib.structure.reduction.training import space_filling_points
 from calib.structure.rules import RULES
 
@@ -82,6 +83,8 @@ def effect_basis(
     middle, vectors, error = points[0], basis.vectors, _ERROR if at is None else _NEARER
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / TOGETHER)
     group = max(min(_EFFECTS, _ROWS // model.n_dof), 1)
+    if effects:
+        vectors = _with_undamped(growth, replace(basis, vectors=vectors), middle, error)
     for first in range(0, len(effects), group):
         progress(stage, first, len(effects) + batches)
         few, known = effects[first : first + group], ReducedModel(model, replace(basis, vectors=vectors))
@@ -158,6 +161,21 @@ def frf_effect_basis(
         sampled = [{**{p.name: p.value for p in effect.parameters}, **point} for point in sampled]
         basis = growth.enriched(basis, sampled, target.with_effects([effect]), next_round(basis), verified=1)[0]
     return replace(basis, version=basis.version + 1)
+
+
+def _with_undamped(growth: Growth, basis: Basis, point: Mapping[str, float], error: float) -> np.ndarray:
+    """Vectors of a basis, with the undamped modes that it lacks: those of which no damped mode up to the last consists.
+
+    Modes with an effect are refined from the basis where it lacks no undamped mode: if it did without an effect, every
+    one would be solved anew.
+    """
+    model = growth.model
+    known, there = undamped_counts(ReducedModel(model, basis), point, basis.count) or (0, 0)
+    if known >= there or not model.is_damped:
+        return basis.vectors
+    stiffness, _, mass = model.matrices(point)
+    solved = solve_modes(stiffness, None, mass, min(there, model.n_dof), model.dofs.direction >= 3)
+    return growth.widened(basis.vectors, [_unit(growth, solved, model.n_dof, basis)], error)
 
 
 def _near(known: Sequence[ReducedModel], asked: tuple[int, Mapping[str, float]]) -> Modes:

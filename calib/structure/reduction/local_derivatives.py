@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.linalg as la
@@ -18,7 +19,7 @@ from calib.structure.eigenproblem.mode_systems import NEIGHBOUR, eigenvalues
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.growth import Growth, fewest
-from calib.structure.reduction.refinement import projected_with, real_columns
+from calib.structure.reduction.refinement import real_columns
 from calib.structure.rules import RULES
 
 TOGETHER = 40
@@ -57,7 +58,6 @@ class LocalDerivatives:
     def __init__(self, growth: Growth, basis: Basis, point: Mapping[str, float], modes: Modes) -> None:
         model = growth.model
         self._growth, self._point = growth, point
-        self.vectors = basis.vectors
         self._matrices = model.matrices(point)
         shift = (2 * np.pi * growth.modes.natural_freq[0]) ** 2
         dynamic = sp.csc_array(self._matrices[0] + shift * self._matrices[2])
@@ -69,7 +69,13 @@ class LocalDerivatives:
         own = modes.shapes[:, self._modes]
         self._size = np.sqrt(np.einsum("ij,ij->j", own.conj(), growth.matrix @ own).real)
         self._inertia, self._dissipation = (real_times(matrix, self._shapes) for matrix in self._matrices[:0:-1])
-        self._small = tuple(self.vectors.T @ (matrix @ self.vectors) for matrix in self._matrices)
+        self._space = _Space()
+        self._extend(self._space, basis.vectors)
+
+    @property
+    def vectors(self) -> np.ndarray:
+        """The basis so far, (n_dof, n), orthonormal in the energy."""
+        return self._space.parts[0]
 
     def add(self, perturbations: Sequence[Perturbation], error: float) -> None:
         """Extend the basis to represent derivatives by perturbations of magnitude 0 at the point.
@@ -77,30 +83,31 @@ class LocalDerivatives:
         Each is weighed by its plausible magnitude, and represented to a squared error relative to the strain energy of
         its mode. Perturbations add no degrees of freedom. EvaluationError where a mode's equations are singular.
         """
-        forces = self._forces(perturbations)
-        space = self._with(_Space(self.vectors, self._small), self._solved(self._static(forces)), error)
-        waiting = np.arange(len(forces))
+        forces, space, known = self._forces(perturbations), self._space.copy(), self._space.size
+        right = [real_times(self.vectors[one.rows].T, one.values) for one in forces]
+        waiting, new = np.arange(len(forces)), self._solved(self._static(forces))
         rng = np.random.default_rng(len(self.vectors))
         for turn in range(_ROUNDS + 1):
-            solved = self._galerkin(space, forces)
-            if turn == _ROUNDS or not len(waiting):
+            new = self._independent(space, new, _FORCE * error)
+            self._extend(space, new)
+            right = [
+                np.concatenate([a, real_times(new[one.rows].T, one.values)])
+                for a, one in zip(right, forces, strict=True)
+            ]
+            solved = self._galerkin(space, right)
+            if turn == _ROUNDS:
                 break
             rest = self._lacking(space, solved, [forces[k] for k in waiting], waiting, rng)
             response = self._solved(rest)
             energy = 2 * np.einsum("ij,ij->j", rest, response)  # half of it is in the real part
             large = energy > _SURE * error
-            waiting = waiting[large]
+            waiting, new = waiting[large], response[:, large]
             if not len(waiting):
                 break
-            space = self._with(space, response[:, large], error)
-        old = self.vectors.shape[1]
         scale = np.array([one.weight for one in forces]) / self._size[:, None, None]
-        found = real_columns(np.hstack([*(solved.motions[:, old:] * scale)]))
-        turn = la.eigh(found @ found.T)[1][:, ::-1]
-        turn = turn[:, : fewest((found.T @ turn) ** 2, error)]
-        self.vectors = np.hstack([self.vectors, space.vectors[:, old:] @ turn])
-        whole = la.block_diag(np.eye(old), turn)
-        self._small = tuple(whole.T @ matrix @ whole for matrix in space.small)
+        found = real_columns(np.hstack([*(solved.motions[:, known:] * scale)]))
+        directions = la.eigh(found @ found.T)[1][:, ::-1]
+        self._space = space.turned(directions[:, : fewest((found.T @ directions) ** 2, error)])
 
     def _forces(self, perturbations: Sequence[Perturbation]) -> list[_Forces]:
         model = extend(self._growth.model, [one.effect for one in perturbations])
@@ -130,7 +137,7 @@ class LocalDerivatives:
         touched = np.unique(stiffness.indices)
         energies, turn = la.eigh(stiffness[touched][:, touched].toarray())
         kept = energies > 1e-10 * energies[-1]
-        forces = np.zeros((len(self.vectors), int(kept.sum())))
+        forces = np.zeros((len(self._diagonal), int(kept.sum())))
         forces[touched] = turn[:, kept] * np.sqrt(energies[kept])
         return RULES.local / float(np.einsum("ij,ij->", forces, self._factor.solve(forces)))
 
@@ -142,7 +149,7 @@ class LocalDerivatives:
             parts = real_columns(one.values * (one.weight / self._size)) / scale
             left, sizes, _ = la.svd(parts, full_matrices=False, check_finite=False)
             kept = sizes > _FORCE * sizes.max(initial=0.0)
-            column = np.zeros((len(self.vectors), int(kept.sum())))
+            column = np.zeros((len(self._diagonal), int(kept.sum())))
             column[one.rows] = scale * left[:, kept] * sizes[kept]
             columns.append(column)
         return np.hstack(columns)
@@ -155,41 +162,39 @@ class LocalDerivatives:
             out[:, some] = self._factor.solve(np.ascontiguousarray(forces[:, some]))
         return out
 
-    def _with(self, space: _Space, columns: np.ndarray, error: float) -> _Space:
-        """The space with columns added, orthonormal in the energy; negligible directions are dropped."""
-        grown = self._growth.added(space.vectors, columns, _FORCE * error)
-        new = grown[:, space.vectors.shape[1] :]
-        small = tuple(
-            projected_with(inner, space.vectors, new, matrix)
-            for inner, matrix in zip(space.small, self._matrices, strict=True)
-        )
-        return _Space(grown, small)
+    def _independent(self, space: _Space, columns: np.ndarray, least: float) -> np.ndarray:
+        """What columns have outside a space, orthonormal in the energy; directions of less energy are dropped."""
+        energy = self._growth.matrix
+        new = self._growth.spanned(space.outside(columns, energy), least)
+        return space.outside(new, energy)
 
-    def _galerkin(self, space: _Space, forces: Sequence[_Forces]) -> _Solved:
-        """Derivatives of every mode on a space, but for their part in the modes close to it."""
-        w = space.vectors
-        inertia, dissipation = (real_times(w.T, columns) for columns in (self._inertia, self._dissipation))
-        right = [real_times(w[one.rows].T, one.values) for one in forces]
-        stiffness, damping, mass = space.small
-        motions = np.zeros((len(self._modes), w.shape[1], len(forces)), dtype=complex)
+    def _extend(self, space: _Space, new: np.ndarray) -> None:
+        space.add(new, self._matrices, (self._inertia, self._dissipation))
+
+    def _galerkin(self, space: _Space, right: Sequence[np.ndarray]) -> _Solved:
+        """Derivatives of every mode on a space, but for their part in the modes close to it.
+
+        ``right`` are the forces of every perturbation on the space, (n, n_modes).
+        """
+        size, (stiffness, damping, mass), (inertia, dissipation) = space.size, space.small, space.along
+        motions = np.zeros((len(self._modes), size, len(right)), dtype=complex)
         borders = []
         for k, mode in enumerate(self._modes):
             lam = self._lam[mode]
             near = np.flatnonzero(np.abs(self._lam - lam) <= NEIGHBOUR * abs(lam))
             border = inertia[:, near] * (lam + self._lam[near]) + dissipation[:, near]
-            size = float(np.abs(border).max(initial=0.0)) or 1.0
-            whole = np.zeros((w.shape[1] + len(near),) * 2, dtype=complex)
-            whole[: w.shape[1], : w.shape[1]] = stiffness + lam * damping + lam**2 * mass
-            whole[: w.shape[1], w.shape[1] :] = border / size
-            whole[w.shape[1] :, : w.shape[1]] = border.T / size
-            given = np.zeros((len(whole), len(forces)), dtype=complex)
-            given[: w.shape[1]] = -np.column_stack([one[:, k] for one in right])
+            scale = float(np.abs(border).max(initial=0.0)) or 1.0
+            whole = np.zeros((size + len(near),) * 2, dtype=complex)
+            whole[:size, :size] = stiffness + lam * damping + lam**2 * mass
+            whole[:size, size:], whole[size:, :size] = border / scale, border.T / scale
+            given = np.zeros((len(whole), len(right)), dtype=complex)
+            given[:size] = -np.column_stack([one[:, k] for one in right])
             try:
                 both = np.linalg.solve(whole, given)
             except np.linalg.LinAlgError as fault:
                 raise EvaluationError(f"derivatives of mode {k + 1} cannot be solved ({fault})") from fault
-            motions[k] = both[: w.shape[1]]
-            borders.append((near, both[w.shape[1] :] / size))
+            motions[k] = both[:size]
+            borders.append((near, both[size:] / scale))
         return _Solved(motions, borders)
 
     def _lacking(
@@ -200,11 +205,11 @@ class LocalDerivatives:
         turn = np.exp(2j * np.pi * rng.random((len(lam), len(forces))))
         turn *= np.array([one.weight for one in forces]) / self._size[:, None]
         own = solved.motions[:, :, which]
-        out = np.zeros((len(space.vectors), len(forces)))
+        out = np.zeros((len(self._diagonal), len(forces)))
         for matrix, power in zip(self._matrices, (0, 1, 2), strict=True):
             if matrix.nnz:
                 small = np.einsum("kp,kip->ip", turn * lam[:, None] ** power, own).real
-                out += matrix @ (space.vectors @ small)
+                out += matrix @ space.combined(small)
         by_inertia, by_damping = (np.zeros((len(self._lam), len(forces)), dtype=complex) for _ in range(2))
         for k, (near, factors) in enumerate(solved.borders):
             held = factors[:, which] * turn[k]
@@ -225,12 +230,71 @@ class _Forces:
     weight: float
 
 
-@dataclass(frozen=True, eq=False)
 class _Space:
-    """Vectors (n_dof, n), and K, C, M over them, (n, n)."""
+    """Vectors in parts (n_dof, n_k) that are orthonormal together, and what is projected on all of them.
 
-    vectors: np.ndarray
-    small: tuple[np.ndarray, ...]
+    ``small`` are matrices (n, n), and ``along`` other columns (n, m).
+    """
+
+    def __init__(self) -> None:
+        self.parts: list[np.ndarray] = []
+        self.small: list[np.ndarray] = []
+        self.along: list[np.ndarray] = []
+
+    @property
+    def size(self) -> int:
+        """Number of vectors."""
+        return sum(part.shape[1] for part in self.parts)
+
+    def copy(self) -> _Space:
+        """Another one, which shares the parts."""
+        out = _Space()
+        out.parts, out.small, out.along = list(self.parts), list(self.small), list(self.along)
+        return out
+
+    def add(self, new: np.ndarray, matrices: Sequence[Any], columns: Sequence[np.ndarray]) -> None:
+        """Take vectors, orthonormal to the others, and project matrices and columns on them."""
+        if not self.parts:
+            self.small = [np.zeros((0, 0)) for _ in matrices]
+            self.along = [np.zeros((0, one.shape[1]), dtype=one.dtype) for one in columns]
+        for k, matrix in enumerate(matrices):
+            image = matrix @ new
+            beside = self.onto(image)
+            self.small[k] = np.block([[self.small[k], beside], [beside.T, new.T @ image]])
+        self.along = [
+            np.concatenate([known, real_times(new.T, one)]) for known, one in zip(self.along, columns, strict=True)
+        ]
+        self.parts.append(new)
+
+    def onto(self, columns: np.ndarray) -> np.ndarray:
+        """Products of all vectors with columns, (n, m)."""
+        return np.concatenate([np.zeros((0, columns.shape[1])), *(part.T @ columns for part in self.parts)])
+
+    def combined(self, small: np.ndarray) -> np.ndarray:
+        """Motions (n_dof, m) from factors of all vectors (n, m)."""
+        ends = np.cumsum([part.shape[1] for part in self.parts])[:-1]
+        out: np.ndarray = sum(part @ own for part, own in zip(self.parts, np.split(small, ends), strict=True))
+        return out
+
+    def outside(self, columns: np.ndarray, energy: Any) -> np.ndarray:
+        """Columns with all vectors projected out in the energy."""
+        rest = np.array(columns)
+        for first in range(0, rest.shape[1], _COLUMNS):
+            some = slice(first, first + _COLUMNS)
+            for _ in range(2):
+                rest[:, some] -= self.combined(self.onto(energy @ rest[:, some]))
+        return rest
+
+    def turned(self, directions: np.ndarray) -> _Space:
+        """The first part, and of all others some directions, (n - n_0, m)."""
+        known, out = self.parts[0], _Space()
+        others = _Space()
+        others.parts = self.parts[1:]
+        out.parts = [np.hstack([known, others.combined(directions)])]
+        whole = la.block_diag(np.eye(known.shape[1]), directions)
+        out.small = [whole.T @ matrix @ whole for matrix in self.small]
+        out.along = [whole.T @ columns for columns in self.along]
+        return out
 
 
 @dataclass(frozen=True, eq=False)

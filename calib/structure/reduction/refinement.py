@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping, Sequence
 
 import numpy as np
@@ -56,7 +57,7 @@ class GrowingSpace:
             self.basis, self.projected = self.basis[:, :0], tuple(one[:0, :0] for one in self.projected)
         more = new / self._scale
         self.projected = tuple(
-            projected_with(inner, self.basis, more, matrix)
+            _bordered(inner, self.basis, more, matrix)
             for inner, matrix in zip(self.projected, self._matrices, strict=True)
         )
         self.basis = np.hstack([self.basis, more])
@@ -67,7 +68,7 @@ def _orthonormal(columns: np.ndarray) -> np.ndarray:
     return directions
 
 
-def projected_with(inner: np.ndarray, old: np.ndarray, new: np.ndarray, matrix: sp.csc_array) -> np.ndarray:
+def _bordered(inner: np.ndarray, old: np.ndarray, new: np.ndarray, matrix: sp.csc_array) -> np.ndarray:
     """A symmetric matrix projected on old and new directions, from that on the old ones."""
     image = matrix @ new
     beside, corner = old.T @ image, new.T @ image
@@ -162,11 +163,21 @@ def refined_modes(
 
 
 def undamped_count_agrees(reduced: ReducedModel, values: Mapping[str, float], count: int) -> bool:
-    """Whether the reduced model lacks no undamped mode up to its ``count``-th one, by Sylvester's law of inertia.
+    """Whether the reduced model lacks no undamped mode up to its ``count``-th one; see `undamped_counts`.
 
-    Undamped frequencies of a projected model are upper bounds (Courant-Fischer), so that equal numbers below a
-    frequency prove that none is missed there. Of a damped model this counts the undamped modes that its damped ones
-    consist of, which is evidence and no proof. False also where modes cannot be counted.
+    False also where modes cannot be counted.
+    """
+    known, there = undamped_counts(reduced, values, count) or (0, 1)
+    return known == there
+
+
+def undamped_counts(reduced: ReducedModel, values: Mapping[str, float], count: int) -> tuple[int, int] | None:
+    """How many undamped modes a reduced model has up to its ``count``-th one or a little above, and how many there are.
+
+    Sylvester's law of inertia counts those of the full model; rigid-body motions are among them. Undamped frequencies
+    of a projected model are upper bounds (Courant-Fischer), so that equal numbers below a frequency prove that none is
+    missed there. Of a damped model this counts the undamped modes that its damped ones consist of, which is evidence
+    and no proof. None where modes cannot be counted.
     """
     full = reduced.model
     k, _, m = reduced.matrices(values)
@@ -179,14 +190,13 @@ def undamped_count_agrees(reduced: ReducedModel, values: Mapping[str, float], co
     gaps = np.flatnonzero(freq[1:] > (1 + _CLEAR) * freq[:-1])
     gaps = gaps[gaps >= first + count - 1]
     if not len(gaps):
-        return False
+        return None
     below = int(gaps[0]) + 1
     edge = float(np.sqrt(freq[below - 1] * freq[below]))
     stiffness, _, mass = full.matrices(values)
-    try:
-        return count_below(stiffness, mass, edge) == below
-    except EvaluationError:
-        return False
+    with contextlib.suppress(EvaluationError):
+        return below, count_below(stiffness, mass, edge)
+    return None
 
 
 def modes_near(reduced: ReducedModel, values: Mapping[str, float], count: int, accuracy: float = ACCURACY) -> Modes:
