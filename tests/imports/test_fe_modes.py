@@ -13,7 +13,6 @@ import calib
 from calib.api.fe_comparison import DRAWN, model_of_modes
 from calib.command import cli
 from calib.errors.errors import InputError
-from calib.imports.coordinates import read_coordinates
 from calib.imports.fe_modes import read_fe_modes
 from calib.measurement.files.uff import write_uff
 from calib.measurement.modal import Sensor
@@ -269,43 +268,6 @@ def test_a_measured_node_without_a_place_and_a_motion_that_is_not_computed_are_n
 def test_fewer_computed_than_measured_modes_are_refused():
     with pytest.raises(InputError, match="1 modes are computed, and 2"):
         calib.compare_modes(calib.modes(FREQ[:1]), calib.modes(FREQ[:2]))
-
-
-@pytest.mark.parametrize(
-    "line",
-    [
-        "GRID           7            1.5   -2.+0     3.-1", "GRID,7,,1.5,-2.0,.3",
-        "GRID*                  7                             1.5            -2.0\n*                    0.3",
-    ],
-)  # fmt: skip
-def test_nodes_of_nastran_decks(tmp_path, line):
-    (path := tmp_path / "deck.bdf").write_text(f"$ comment\nBEGIN BULK\n{line}\nENDDATA\n")
-    assert read_coordinates(path, 1e-3)[7] == pytest.approx((1.5e-3, -2e-3, 0.3e-3))
-
-
-@pytest.mark.parametrize(
-    ("name", "lines", "place"),
-    [
-        ("a.bdf", "GRID,5,,1200.,0.,300.\nGRID,5,,12{}0.,0.,300.\n", "GRID 5"),
-        ("a.inp", "*NODE\n5, 1200., 0., 300.\n5, 12{}0., 0., 300.\n", "node 5"),
-        ("a.cdb", "NBLOCK,6,SOLID\n(3i9,6e21.13e3)\n" + f"{5:9d}{0:9d}{0:9d}{1200.0:21.13e}\n{5:9d}{0:9d}{0:9d}"
-         "{:>21}\n", "node 5"),
-        ("a.msh", "$MeshFormat\n2.2 0 8\n$EndMeshFormat\n$Nodes\n2\n5 1200. 0 300\n5 12{}0. 0. 300\n$EndNodes\n"
-         "$Elements\n0\n$EndElements\n", "node 5"),
-    ],
-)  # fmt: skip
-def test_a_node_at_two_places_is_refused(name, lines, place, tmp_path):
-    (tmp_path / name).write_text(lines.format("1200.0" if name == "a.cdb" else "0"))
-    assert read_coordinates(tmp_path / name)[5][0] == 1200.0
-    (tmp_path / name).write_text(lines.format("1250.0" if name == "a.cdb" else "5"))
-    with pytest.raises(InputError, match=f"{place}.* is there twice, at"):
-        read_coordinates(tmp_path / name)
-
-
-def test_nodes_in_local_systems_are_refused(tmp_path):
-    (path := tmp_path / "deck.bdf").write_text("GRID           7       3     1.5     0.0     0.0\n")
-    with pytest.raises(InputError, match="local"):
-        read_coordinates(path)
 
 
 @pytest.mark.medium

@@ -390,7 +390,7 @@ class Apart(Bent):
 
 def test_a_start_that_cannot_come_near_a_better_one_ends_where_its_steps_promise_little():
     space, starts = box(3, value=1.0), [{"p0": 3.8, "p1": 0.2, "p2": 3.0}, {"p0": 1.7, "p1": 1.0, "p2": 1.0}]
-    runs, found = [], None
+    runs = []
     for some in (starts[:1], starts[1:], starts):
         problem = Apart(True)
         found = fit_mixed(problem, space, some)
