@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 import hashlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
+from calib.structure.pattern import Pattern, padded, with_data
 from calib.structure.sparse_indices import require_consistent
 
 
@@ -243,17 +243,20 @@ class AffineMatrix:
     n_dof : int
     terms : tuple of Term
     selected : tuple of SelectedTerm
+    leading : bool
+        Whether a term may be over the first degrees of freedom alone, and zero over the others.
     """
 
     n_dof: int
     terms: tuple[Term, ...]
     selected: tuple[SelectedTerm, ...] = ()
+    leading: bool = False
 
     def __post_init__(self) -> None:
         n = self.n_dof
         for term in self.terms:
             require_consistent(term.matrix, f"model matrices, term {term.name!r}")
-            if term.matrix.shape != (n, n):
+            if term.matrix.shape != (n, n) and not (self.leading and max(term.matrix.shape) <= n):
                 raise InputError(f"term {term.name!r} is {term.matrix.shape}, not ({n}, {n})", place="model matrices")
             if not np.all(np.isfinite(term.matrix.data)):
                 raise InputError(
@@ -263,28 +266,9 @@ class AffineMatrix:
                 )
 
     @cached_property
-    def _pattern(self) -> _Pattern:
+    def _pattern(self) -> Pattern:
         """Assembled on first use: a model that is only projected on a basis never needs it."""
-        n = self.n_dof
-        blocks = [{key: _outer(b) for key, b in s.vectors.items()} for s in self.selected]
-        coos = [sp.coo_array(term.matrix) for term in self.terms]
-        entries = [(coo.row, coo.col) for coo in coos]
-        entries += [(rows, cols) for options in blocks for rows, cols, _ in options.values()]
-        indices, indptr = _united(entries, n)
-        keys = _key(indices, np.repeat(np.arange(n), np.diff(indptr)), n)
-        # Entries over terms, (n_entries, n_terms): most terms have few of the entries.
-        rows = [np.searchsorted(keys, _key(coo.row, coo.col, n)) for coo in coos]
-        picks = [
-            {key: (np.searchsorted(keys, _key(rows, cols, n)), data) for key, (rows, cols, data) in options.items()}
-            for options in blocks
-        ]
-        form = sp.csc_array((np.zeros(len(keys)), indices, indptr), shape=(n, n))
-        form.has_sorted_indices = form.has_canonical_format = True
-        return _Pattern(
-            form=form,
-            stack=_stacked(rows, [coo.data for coo in coos], len(keys)),
-            picks=tuple(picks),
-        )
+        return Pattern.of(self.n_dof, [term.matrix for term in self.terms], [one.vectors for one in self.selected])
 
     @cached_property
     def roots(self) -> frozenset[str]:
@@ -295,7 +279,7 @@ class AffineMatrix:
     @cached_property
     def unselected(self) -> AffineMatrix:
         """The terms alone; the matrix itself where it has no selected ones."""
-        return AffineMatrix(self.n_dof, self.terms) if self.selected else self
+        return AffineMatrix(self.n_dof, self.terms, leading=self.leading) if self.selected else self
 
     @property
     def is_zero(self) -> bool:
@@ -309,7 +293,7 @@ class AffineMatrix:
         for term, pick in zip(self.selected, pattern.picks, strict=True):
             where, entries = pick[term.choice(values)]
             data[where] += term.coefficient(values) * entries
-        return _with_data(pattern.form, data)
+        return with_data(pattern.form, data)
 
     def derivative(self, values: Mapping[str, float], name: str) -> sp.csc_array:
         """Derivative of the matrix with respect to one parameter in SI, shape (n_dof, n_dof).
@@ -321,7 +305,7 @@ class AffineMatrix:
         for term in terms:
             if slope := term.coefficient.derivative(values, name):
                 # Symmetric, as each term is: the transpose is the same matrix, compressed by columns at no cost.
-                parts.append(_with_data(term.matrix, slope * term.matrix.data).T)
+                parts.append(padded(with_data(term.matrix, slope * term.matrix.data), self.n_dof).T)
         for chosen in selected:
             if slope := chosen.coefficient.derivative(values, name):
                 b = sp.csc_array(chosen.vectors[chosen.choice(values)][:, None])
@@ -350,51 +334,3 @@ class AffineMatrix:
             for key in sorted(term.vectors):
                 out.update(np.ascontiguousarray(term.vectors[key], dtype=float).tobytes())
         return out.digest()
-
-
-@dataclass(frozen=True, eq=False)
-class _Pattern:
-    """The common sparsity pattern, entries of the terms (n_entries, n_terms) and of every selected vector."""
-
-    form: sp.csc_array
-    stack: sp.csr_array
-    picks: tuple[Mapping[tuple[int, ...], tuple[np.ndarray, np.ndarray]], ...]
-
-
-def _with_data(form: Any, data: np.ndarray) -> Any:
-    """A matrix of the same pattern with other entries; making one anew takes longer than to solve a small model."""
-    out = copy.copy(form)
-    out.data = data
-    return out
-
-
-def _stacked(rows: list[np.ndarray], entries: list[np.ndarray], size: int) -> sp.csr_array:
-    columns = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
-    if not len(columns):
-        return sp.csr_array((size, len(rows)))
-    where = (np.concatenate(rows), columns)
-    return sp.csr_array(sp.coo_array((np.concatenate(entries), where), shape=(size, len(rows))))
-
-
-def _united(entries: list[tuple[np.ndarray, np.ndarray]], n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of all different entries, by column and sorted in each, and where the columns begin.
-
-    SciPy's conversion counts where `numpy.unique` sorts or hashes; it is tens of times as fast.
-    """
-    if not entries:
-        return np.zeros(0, dtype=np.int32), np.zeros(n + 1, dtype=np.int32)
-    rows, cols = (np.concatenate(parts) for parts in zip(*entries, strict=True))
-    form = sp.coo_array((np.ones(len(rows), dtype=np.int8), (rows, cols)), shape=(n, n)).tocsc()
-    form.sum_duplicates()
-    return form.indices.astype(np.int32), form.indptr.astype(np.int32)
-
-
-def _key(rows: np.ndarray, cols: np.ndarray, n: int) -> np.ndarray:
-    return cols.astype(np.int64) * n + rows
-
-
-def _outer(b: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Entries (rows, columns, values) of ``b b^T``."""
-    index = np.flatnonzero(b)
-    rows, cols = np.meshgrid(index, index, indexing="ij")
-    return rows.ravel(), cols.ravel(), np.outer(b[index], b[index]).ravel()

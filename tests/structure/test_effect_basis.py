@@ -3,17 +3,18 @@
 import numpy as np
 import pytest
 
+from calib.errors.errors import InputError
 from calib.measurement.modal import Sensor
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
-from calib.structure.affine import parameter
+from calib.structure.affine import AffineMatrix, parameter
 from calib.structure.effects.attach import hung_masses, outer_term
 from calib.structure.effects.extend import Addition, extend
 from calib.structure.effects.perturbations import perturbations
 from calib.structure.eigenproblem.derivatives import mode_derivatives
 from calib.structure.reduction.effect_basis import effect_basis
 from calib.structure.reduction.growth import Growth
-from calib.structure.reduction.reduced import ReducedModel, reference_matrix
+from calib.structure.reduction.reduced import ReducedModel, reference_factor, reference_matrix
 from calib.structure.reduction.training import train_basis
 
 pytestmark = pytest.mark.slow
@@ -126,6 +127,34 @@ def test_degrees_of_freedom_of_effects_are_basis_vectors(made):
     assert basis.samples.shape == (len(trained.samples), len(wider.space.names))
     same = trained.carried(model.space, model.n_dof)
     np.testing.assert_array_equal(same.vectors, trained.vectors)
+
+
+def test_the_factor_of_the_base_model_serves_models_with_effects(made):
+    """Where every magnitude is 0, what effects add is apart: static responses are those of the whole model's factor."""
+    model, trained, _, _ = made
+    wider = ReducedModel(model, trained).extended([spring(), hung()])
+    forces = np.random.default_rng(4).standard_normal((wider.model.n_dof, 3)) * (1 + 2j)
+    whole = reference_factor(wider.model, wider.basis.reference_values, wider.basis.offset)
+    expected = whole.solve(forces.real) + 1j * whole.solve(forces.imag)
+    np.testing.assert_allclose(wider.static_response(forces), expected, rtol=1e-8, atol=1e-12)
+
+
+def test_terms_of_the_base_model_stay_over_its_own_degrees_of_freedom(made):
+    """A reduced model with effects holds no wider copy of every term; its matrices and derivatives are the same."""
+    model, trained, _, _ = made
+    narrow, wide = ReducedModel(model, trained).extended([hung()]).model, extend(model, [hung()])
+    assert {t.matrix.shape[0] for t in narrow.mass.terms} == {N, N + 1} and narrow.stiffness.leading
+    assert all(t.matrix.shape[0] == N + 1 for t in wide.mass.terms)
+    values = {**POINT, "hung": 2.0, "hung_freq": 0.7}
+    for one, other in zip(narrow.matrices(values), wide.matrices(values), strict=True):
+        np.testing.assert_array_equal(one.toarray(), other.toarray())
+    for name in ("k_upper", "hung", "mass"):
+        for one, other in zip(
+            narrow.matrix_derivatives(values, name), wide.matrix_derivatives(values, name), strict=True
+        ):
+            np.testing.assert_array_equal(one.toarray(), other.toarray())
+    with pytest.raises(InputError, match="term"):
+        AffineMatrix(N + 1, narrow.mass.terms)
 
 
 def test_same_seed_same_basis(made):

@@ -17,6 +17,7 @@ from calib.structure.affine import AffineMatrix, SelectedTerm, Term
 from calib.structure.effects.products import following
 from calib.structure.geometry import DofMap, Locator
 from calib.structure.model import Assumption, StructuralModel
+from calib.structure.pattern import padded
 
 
 @dataclass(frozen=True)
@@ -59,11 +60,13 @@ class Addition:
         return out.hexdigest()
 
 
-def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel:
+def extend(model: StructuralModel, effects: Sequence[Effect], leading: bool = False) -> StructuralModel:
     """The model with effects, their magnitudes and nuisance parameters after its own parameters.
 
     Every effect is built from the base model, so that results do not depend on their order. Where one adds shares of a
-    part's stiffness that another changes, the shares follow the change.
+    part's stiffness that another changes, the shares follow the change. With ``leading`` the terms of the model stay
+    over its own degrees of freedom (`AffineMatrix.leading`): of a large model with many parts it is a small part of the
+    memory, enough where the model is reduced.
 
     Raises
     ------
@@ -82,14 +85,14 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
 
     def matrix(kind: str) -> AffineMatrix:
         own: AffineMatrix = getattr(model, kind)
-        terms = [base.term(t) for t in own.terms]
+        terms = list(own.terms) if leading else [base.term(t) for t in own.terms]
         terms += [p.term(t) for p in placed for t in getattr(p.addition, kind)]
         if kind == "stiffness":
             terms = list(following(terms))
         selected = [base.selected(t) for t in own.selected]
         if kind == "stiffness":
             selected += [p.selected(t) for p in placed for t in p.addition.selected]
-        return AffineMatrix(total, tuple(terms), tuple(selected))
+        return AffineMatrix(total, tuple(terms), tuple(selected), leading)
 
     more = total - model.n_dof
     parameters = model.space.parameters + tuple(p for effect in effects for p in effect.parameters)
@@ -107,7 +110,7 @@ def extend(model: StructuralModel, effects: Sequence[Effect]) -> StructuralModel
         dofs=dofs,
         locator=_WiderLocator(model.locator, more) if more else model.locator,
         assumptions=model.assumptions + tuple(a for _, addition in additions for a in addition.assumptions),
-        parts=tuple(replace(part, matrix=base.wider(part.matrix)) for part in model.parts),
+        parts=model.parts if leading else tuple(replace(one, matrix=base.wider(one.matrix)) for one in model.parts),
     )
 
 
@@ -161,12 +164,8 @@ class _Placed:
         return np.where(at < self.own, at, at - self.own + self.first)
 
     def wider(self, matrix: sp.csr_array) -> sp.csr_array:
-        if matrix.shape == (self.total, self.total):
-            return matrix
-        if self.first == self.own:  # its degrees of freedom follow at once: the entries are shared, not copied
-            ends = np.full(self.total - len(matrix.indptr) + 1, matrix.indptr[-1], dtype=matrix.indptr.dtype)
-            indptr = np.concatenate([matrix.indptr, ends])
-            return sp.csr_array((matrix.data, matrix.indices, indptr), shape=(self.total, self.total))
+        if self.first == self.own:  # its degrees of freedom follow at once
+            return padded(matrix, self.total)
         coo = sp.coo_array(matrix)
         where = (self.index(coo.row), self.index(coo.col))
         return sp.csr_array(sp.coo_array((coo.data, where), shape=(self.total, self.total)))

@@ -191,7 +191,7 @@ def eigen_derivatives(
     With ``Z = lambda^2 M + lambda C + K``, ``psi^T (2 lambda M + C) psi = 1`` and ``F = dZ psi`` at fixed lambda,
     ``dlambda = -psi^T F``. The shape's derivative solves a system in Z with all parameters as right-hand sides (Nelson
     1976). In sparse models those of many modes are iterated together, with one factor and what all solved modes add to
-    it (`calib.structure.eigenproblem.known_modes`), to a residual of 1e-6 of the force, which leaves an error of up to
+    it (`calib.structure.eigenproblem.known_modes`), to a residual of 5e-7 of the force, which leaves an error of up to
     about 2e-5 of the largest entry of a shape's derivative. A mode without a gap to the modes that were not solved
     takes one bordered factorisation (after Friswell and Adhikari 2000). The border holds all solved eigenvalues within
     10 % of the mode's own, conjugates included, so that close modes do not spoil the solution; their contribution is

@@ -10,7 +10,7 @@ import numpy as np
 Operator: TypeAlias = Callable[[np.ndarray, np.ndarray], np.ndarray]
 """Acts on a block (n_dof, m) whose columns stand at the places (m,) of the right-hand side."""
 
-CONVERGED = 1e-6
+CONVERGED = 5e-7
 """Residual over the size of the forces at which a column is solved."""
 _STEPS = 16
 """Steps after which a column counts as not solved."""

@@ -64,7 +64,7 @@ class _Modes:
     """What real and complex modes have in common.
 
     ``all`` are shapes (n_dof, n_known), ``squares`` squared natural frequencies (n_modes,), ``rigid`` is how many
-    motions have no stiffness, and ``shifted`` whether a factor with a shift is real.
+    motions have no stiffness, and ``shifted`` whether a factor may have a shift.
     """
 
     k: Matrix
@@ -104,12 +104,16 @@ class _Modes:
         return products
 
     def _factor(self, shift: float) -> spla.SuperLU:
-        """Of ``K - shift M``; the last one is kept."""
+        """At a shift, a squared frequency; the last one is kept."""
         kept: dict[float, spla.SuperLU] = self.__dict__.setdefault("_factors", {})
         if shift not in kept:
             kept.clear()
-            kept[shift] = symmetric_factor(sp.csc_array(self.k - shift * self.m) if shift else self.k)
+            kept[shift] = symmetric_factor(sp.csc_array(self._at(shift)) if shift else self.k)
         return kept[shift]
+
+    def _at(self, shift: float) -> Matrix:
+        """The matrix that is factorised at a shift."""
+        return self.k - shift * self.m
 
 
 class Damped(_Modes):
@@ -120,9 +124,10 @@ class Damped(_Modes):
         upper = eigenvalues(modes)
         self.eigenvalues = np.concatenate([upper, upper.conj()])
         self.all = np.hstack([modes.shapes, modes.shapes.conj()])
-        self.shape_type, self.groups, self.shifted = complex, modes.groups, False
+        self.shape_type, self.groups = complex, modes.groups
         self.squares = np.abs(upper) ** 2
         self.rigid = sum(one.kind != "overdamped" for one in modes.excluded)
+        self.shifted = not self.rigid
 
     def system(self, i: int) -> ModeSystem:
         """The system of a mode."""
@@ -157,12 +162,12 @@ class Damped(_Modes):
         return rest, good
 
     def together(self, shift: float, systems: Sequence[ModeSystem]) -> list[np.ndarray | None]:
-        """The same of several modes, by the factor of K and all modes; None where it does not converge.
+        """The same of several modes, by one factor of Z and all modes; None where it does not converge.
 
-        The inverse of ``Z(lambda)`` is approximated by that of ``K = Z(0)``, with what all known modes add to the
-        difference.
+        The inverse of ``Z(lambda)`` is approximated by that of ``Z(i omega)``, omega being the root of the shift, with
+        what all known modes add to the difference. A complex solution costs no more than two real ones.
         """
-        factor = self._factor(shift)
+        factor, s = self._factor(shift), 1j * np.sqrt(shift)
         shapes, known = self.all, self.eigenvalues
         columns = np.repeat(np.arange(len(systems)), len(self.slopes))
         lam = np.array([one.eigenvalue for one in systems])
@@ -170,15 +175,18 @@ class Damped(_Modes):
             beside = 1 / (lam - known[:, None])
         for k, one in enumerate(systems):
             beside[one.near[one.same], k] = 0.0
-        added = beside + 1 / known[:, None]
+        added = beside - 1 / (s - known[:, None])
 
         def operate(block: np.ndarray, at: np.ndarray) -> np.ndarray:
             by = lam[columns[at]]
             return by * real_times(self.c, block) + by**2 * real_times(self.m, block) + real_times(self.k, block)
 
         def approximate(block: np.ndarray, at: np.ndarray) -> np.ndarray:
-            both = factor.solve(np.hstack([block.real, block.imag]))
-            own = both[:, : len(at)] + 1j * both[:, len(at) :]
+            if shift:
+                own = factor.solve(block)
+            else:
+                both = factor.solve(np.hstack([block.real, block.imag]))
+                own = both[:, : len(at)] + 1j * both[:, len(at) :]
             return np.asarray(own + shapes @ (added[:, columns[at]] * (shapes.T @ block)))
 
         right, targets, borders = [], [], []
@@ -193,6 +201,9 @@ class Damped(_Modes):
         every = np.arange(len(columns))
         rest += shapes @ (beside[:, columns] * (shapes.T @ (whole - operate(rest, every))))  # of the closest ones
         return _in_scale(systems, rest, good, borders, targets)
+
+    def _at(self, shift: float) -> Matrix:
+        return self.k + 1j * np.sqrt(shift) * self.c - shift * self.m
 
     def normalised(self, system: ModeSystem, rest: np.ndarray) -> np.ndarray:
         """The shape's derivative in the scale of `Modes`."""

@@ -136,6 +136,7 @@ class Basis:
             wide[len(self.vectors) :, self.size :] = np.eye(room)
             wide.setflags(write=False)
             found[:] = [wide]
+            object.__setattr__(self, "vectors", wide[: len(self.vectors), : self.size])  # the others are not kept too
         return found[0]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -158,7 +159,7 @@ class Basis:
         def wider(array: np.ndarray, ends: list[float]) -> np.ndarray:
             return np.hstack([array, np.broadcast_to(ends, (*array.shape[:-1], len(own)))])
 
-        return replace(
+        out = replace(
             self,
             vectors=vectors,
             names=space.names,
@@ -168,6 +169,9 @@ class Basis:
             samples=wider(self.samples, [p.value for p in own]),
             count=self.count + more,
         )
+        if not more:
+            object.__setattr__(out, "_room", self._room)
+        return out
 
     # -- files ---------------------------------------------------------------------------------------------------------
 

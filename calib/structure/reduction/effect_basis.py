@@ -87,12 +87,9 @@ def effect_basis(
         vectors = _with_undamped(growth, replace(basis, vectors=vectors), middle, error)
     for first in range(0, len(effects), group):
         progress(stage, first, len(effects) + batches)
-        few, known = effects[first : first + group], ReducedModel(model, replace(basis, vectors=vectors))
-        asked = [(k, {**point, **own}) for k, one in enumerate(few) for point in points for own in _sampled(one)]
-        solved = each(_near, [known.extended([one]) for one in few], asked)
-        for k in range(len(few)):
-            seen = (_unit(growth, m, model.n_dof, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k)
-            vectors = growth.widened(vectors, seen, error)
+        known = ReducedModel(model, replace(basis, vectors=vectors))
+        vectors = _with_modes(growth, known, effects[first : first + group], points, error)
+        del known  # it holds the vectors so far
     if perturbations:
         basis = replace(basis, vectors=vectors)
         local = LocalDerivatives(growth, basis, middle, model.modes(middle, basis.count))
@@ -161,6 +158,20 @@ def frf_effect_basis(
         sampled = [{**{p.name: p.value for p in effect.parameters}, **point} for point in sampled]
         basis = growth.enriched(basis, sampled, target.with_effects([effect]), next_round(basis), verified=1)[0]
     return replace(basis, version=basis.version + 1)
+
+
+def _with_modes(
+    growth: Growth, known: ReducedModel, effects: Sequence[Effect], points: Sequence[Mapping[str, float]], error: float
+) -> np.ndarray:
+    """Vectors of a reduced model, with those that modes with each effect need."""
+    basis, rows = known.basis, known.model.n_dof
+    asked = [(k, {**point, **own}) for k, one in enumerate(effects) for point in points for own in _sampled(one)]
+    solved = each(_near, [known.extended([one]) for one in effects], asked)
+    vectors = basis.vectors
+    for k in range(len(effects)):
+        seen = (_unit(growth, m, rows, basis) for m, (of, _) in zip(solved, asked, strict=True) if of == k)
+        vectors = growth.widened(vectors, seen, error)
+    return vectors
 
 
 def _with_undamped(growth: Growth, basis: Basis, point: Mapping[str, float], error: float) -> np.ndarray:

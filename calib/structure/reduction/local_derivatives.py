@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -85,25 +85,28 @@ class LocalDerivatives:
         """
         forces, space, known = self._forces(perturbations), self._space.copy(), self._space.size
         right = [real_times(self.vectors[one.rows].T, one.values) for one in forces]
-        waiting, new = np.arange(len(forces)), self._solved(self._static(forces))
-        rng = np.random.default_rng(len(self.vectors))
-        for turn in range(_ROUNDS + 1):
-            new = self._independent(space, new, _FORCE * error)
+
+        def take(responses: np.ndarray) -> None:
+            new = self._independent(space, responses, _FORCE * error)
             self._extend(space, new)
-            right = [
-                np.concatenate([a, real_times(new[one.rows].T, one.values)])
-                for a, one in zip(right, forces, strict=True)
-            ]
+            for k, one in enumerate(forces):
+                right[k] = np.concatenate([right[k], real_times(new[one.rows].T, one.values)])
+
+        for some in self._static(forces):
+            take(self._factor.solve(some))
+        waiting, rng = np.arange(len(forces)), np.random.default_rng(len(self.vectors))
+        for turn in range(_ROUNDS + 1):
             solved = self._galerkin(space, right)
             if turn == _ROUNDS:
                 break
             rest = self._lacking(space, solved, [forces[k] for k in waiting], waiting, rng)
-            response = self._solved(rest)
+            response = self._factor.solve(rest)
             energy = 2 * np.einsum("ij,ij->j", rest, response)  # half of it is in the real part
             large = energy > _SURE * error
-            waiting, new = waiting[large], response[:, large]
+            waiting = waiting[large]
             if not len(waiting):
                 break
+            take(response[:, large])
         scale = np.array([one.weight for one in forces]) / self._size[:, None, None]
         found = real_columns(np.hstack([*(solved.motions[:, known:] * scale)]))
         directions = la.eigh(found @ found.T)[1][:, ::-1]
@@ -141,26 +144,21 @@ class LocalDerivatives:
         forces[touched] = turn[:, kept] * np.sqrt(energies[kept])
         return RULES.local / float(np.einsum("ij,ij->", forces, self._factor.solve(forces)))
 
-    def _static(self, forces: Sequence[_Forces]) -> np.ndarray:
-        """Independent forces of every perturbation, in the scale of its weight, (n_dof, m)."""
-        columns = []
+    def _static(self, forces: Sequence[_Forces]) -> Iterator[np.ndarray]:
+        """Independent forces of every perturbation, in the scale of its weight, in blocks (n_dof, m)."""
+        found = []
         for one in forces:
             scale = np.sqrt(self._diagonal[one.rows])[:, None]
             parts = real_columns(one.values * (one.weight / self._size)) / scale
             left, sizes, _ = la.svd(parts, full_matrices=False, check_finite=False)
             kept = sizes > _FORCE * sizes.max(initial=0.0)
-            column = np.zeros((len(self._diagonal), int(kept.sum())))
-            column[one.rows] = scale * left[:, kept] * sizes[kept]
-            columns.append(column)
-        return np.hstack(columns)
-
-    def _solved(self, forces: np.ndarray) -> np.ndarray:
-        """Static responses, with the shift that keeps the factor regular."""
-        out = np.empty_like(forces)
-        for first in range(0, forces.shape[1], _COLUMNS):
-            some = slice(first, first + _COLUMNS)
-            out[:, some] = self._factor.solve(np.ascontiguousarray(forces[:, some]))
-        return out
+            found += [(one.rows, column) for column in (scale * left[:, kept] * sizes[kept]).T]
+        for first in range(0, len(found), _COLUMNS):
+            some = found[first : first + _COLUMNS]
+            block = np.zeros((len(self._diagonal), len(some)))
+            for k, (rows, column) in enumerate(some):
+                block[rows, k] = column
+            yield block
 
     def _independent(self, space: _Space, columns: np.ndarray, least: float) -> np.ndarray:
         """What columns have outside a space, orthonormal in the energy; directions of less energy are dropped."""

@@ -9,6 +9,7 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+import scipy.linalg as la
 import scipy.sparse as sp
 import scipy.sparse.linalg as spla
 
@@ -82,7 +83,7 @@ class ReducedModel(Analytic):
 
         InputError when an effect cannot be added, see `calib.structure.effects.extend.extend`.
         """
-        model = extend(self.model, effects)
+        model = extend(self.model, effects, leading=True)
         return ReducedModel(model, self.basis.carried(model.space, model.n_dof), self)
 
     # -- properties shared with the full model -------------------------------------------------------------------------
@@ -291,8 +292,15 @@ class ReducedModel(Analytic):
     def static_response(self, forces: np.ndarray) -> np.ndarray:
         """Motions of the full model under static forces (n_full, m) with the stiffness at the basis' reference values.
 
-        With the offset of the basis where there are rigid-body motions; complex forces give complex motions.
+        With the offset of the basis where there are rigid-body motions; complex forces give complex motions. Degrees of
+        freedom that effects add are apart there, where every magnitude is 0: the factor of the base model serves all.
         """
+        if self.inner is not None and self.factor is None:
+            own = self.inner.model.n_dof
+            parts = [self.inner.static_response(forces[:own])]
+            if self.model.n_dof > own:
+                parts.append(la.solve(self._stiffness_of_added, forces[own:], assume_a="sym"))
+            return np.concatenate(parts)
         if not np.iscomplexobj(forces):
             return np.asarray(self._reference_factor.solve(forces))
         both = self._reference_factor.solve(np.hstack([forces.real, forces.imag]))
@@ -301,6 +309,18 @@ class ReducedModel(Analytic):
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
         return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+
+    @cached_property
+    def _stiffness_of_added(self) -> np.ndarray:
+        """`reference_matrix` over the degrees of freedom that effects add, (n_added, n_added)."""
+        assert self.inner is not None
+        own, si = self.inner.model.n_dof, self.space.si(self.space.complete(self.basis.reference_values))
+        out = np.zeros((self.model.n_dof - own,) * 2)
+        for affine, factor in ((self.model.stiffness, 1.0), (self.model.mass, self.basis.offset)):
+            for term in affine.terms if factor else ():
+                if term.matrix.shape[0] > own:
+                    out += factor * term.coefficient(si) * sp.csr_array(term.matrix)[own:][:, own:].toarray()
+        return out
 
 
 def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset: float) -> sp.csc_array:

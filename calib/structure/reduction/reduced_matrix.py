@@ -208,7 +208,7 @@ def reduce_matrix(affine: AffineMatrix, vectors: np.ndarray, known: Sequence[Red
         if 2 * len(active) <= size:
             blocks.append(ReducedTerm(matrix[active][:, active].toarray(), rows))
         else:
-            product = rows.T @ (matrix[active] @ vectors)
+            product = rows.T @ (matrix[active] @ vectors[: matrix.shape[1]])
             blocks.append(ReducedTerm(0.5 * (product + product.T)))
     chosen = tuple({key: vectors.T @ b for key, b in term.vectors.items()} for term in affine.selected)
     return ReducedMatrix(affine, size, tuple(blocks), chosen)
@@ -257,6 +257,6 @@ class ClusterEnergy:
             return self.inner.block(q)
         if q not in self._blocks:
             rows = sp.csr_array(self.terms[q].matrix)[self.members]
-            part = self.vectors[self.members].T @ (rows @ self.vectors) if rows.nnz else None
+            part = self.vectors[self.members].T @ (rows @ self.vectors[: rows.shape[1]]) if rows.nnz else None
             self._blocks[q] = None if part is None else 0.5 * (part + part.T)
         return self._blocks[q]
