@@ -165,14 +165,19 @@ def _real_modes(
 def _rigid_count(lu: spla.SuperLU, stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> int:
     """Number of rigid-body motions and mechanisms, up to `_RIGID`, by inverse iteration, of one vector first.
 
-    They come first: a request without them would hold too few modes, and the whole iteration would be repeated.
+    They come first: a request without them would hold too few modes, and the whole iteration would be repeated. 0 where
+    the motions found are not clear, which only costs time.
     """
+    count = 0
     for columns in (1, _RIGID):
         motions = np.random.default_rng(20110713).standard_normal((mass.shape[0], columns))
         for _ in range(2):
             motions = np.linalg.qr(lu.solve(mass @ motions))[0]
         inertia = motions.T @ (mass @ motions)
-        inverse = la.eigvalsh(inertia, motions.T @ (stiffness @ motions) + shift**2 * inertia)
+        try:
+            inverse = la.eigvalsh(inertia, motions.T @ (stiffness @ motions) + shift**2 * inertia)
+        except la.LinAlgError:
+            return 0
         count = int(np.count_nonzero(is_zero(1.0 / np.maximum(inverse, 1e-300) - shift**2, shift)))
         if not count:
             return 0
