@@ -281,6 +281,12 @@ class AffineMatrix:
         """The terms alone; the matrix itself where it has no selected ones."""
         return AffineMatrix(self.n_dof, self.terms, leading=self.leading) if self.selected else self
 
+    def continues(self, other: AffineMatrix) -> bool:
+        """Whether it is the other matrix with further terms."""
+        shared = zip(self.terms, other.terms, strict=False)
+        same = all(one.coefficient is its.coefficient and one.matrix is its.matrix for one, its in shared)
+        return same and len(self.selected) == len(other.selected)
+
     @property
     def is_zero(self) -> bool:
         """Whether the matrix has no terms."""

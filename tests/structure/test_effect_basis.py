@@ -139,6 +139,18 @@ def test_the_factor_of_the_base_model_serves_models_with_effects(made):
     np.testing.assert_allclose(wider.static_response(forces), expected, rtol=1e-8, atol=1e-12)
 
 
+def test_matrices_with_effects_need_no_pattern_of_their_own(made):
+    model, trained, _, local = made
+    common = ReducedModel(model, trained).extended([spring(), *(one.effect for one in local)])
+    wider = common.extended([hung()])
+    values = {**POINT, "spring": 1e3, "hung": 2.0, "hung_freq": 0.7, local[0].effect.name: 0.2}
+    found = wider.full_matrices(values)
+    assert not any("_pattern" in vars(getattr(wider.model, kind)) for kind in ("stiffness", "damping", "mass"))
+    for one, other in zip(found, wider.model.matrices(values), strict=True):
+        size = abs(other).max()
+        np.testing.assert_allclose(one.toarray(), other.toarray(), rtol=0, atol=1e-14 * size)
+
+
 def test_terms_of_the_base_model_stay_over_its_own_degrees_of_freedom(made):
     """A reduced model with effects holds no wider copy of every term; its matrices and derivatives are the same."""
     model, trained, _, _ = made

@@ -26,6 +26,7 @@ from calib.structure.energy import shares_of, strain_energy
 from calib.structure.geometry import Mesh
 from calib.structure.model import Assumption, StructuralModel
 from calib.structure.modes import Modes
+from calib.structure.pattern import padded
 from calib.structure.places import ModelPlace
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.reduced_matrix import ClusterEnergy, ReducedMatrix, ReducedSlope, reduce_matrix
@@ -274,7 +275,7 @@ class ReducedModel(Analytic):
         modes : Modes
             Of this model at these values.
         """
-        stiffness, damping, mass = self.model.matrices(values)
+        stiffness, damping, mass = self.full_matrices(values)
         shapes = self.lift(modes.shapes)
         size = 2 * np.pi * modes.natural_freq
         if modes.is_complex:
@@ -288,6 +289,27 @@ class ReducedModel(Analytic):
         if modes.is_complex:
             return (squares[: modes.n_modes] + squares[modes.n_modes :]) / size
         return 0.5 * squares / size**2
+
+    def full_matrices(self, values: Mapping[str, float]) -> tuple[sp.csc_array, sp.csc_array, sp.csc_array]:
+        """K, C, M of the full model at named values, (n_full, n_full) each.
+
+        Those of the base model with the terms of effects that are not 0 there: a pattern of its own for every
+        combination of effects would take as much memory as all matrices.
+        """
+        complete = self.space.complete(values)
+        if self.inner is None:
+            return self.model.matrices(complete)
+        base = self.inner.full_matrices({name: complete[name] for name in self.inner.space.names})
+        si, out = self.space.si(complete), []
+        for matrix, kind in zip(base, ("stiffness", "damping", "mass"), strict=True):
+            own, known = getattr(self.model, kind), getattr(self.inner.model, kind)
+            if not own.continues(known):
+                return self.model.matrices(complete)
+            added = [(term.coefficient(si), term.matrix) for term in own.terms[len(known.terms) :]]
+            parts = [padded(factor * each, self.model.n_dof) for factor, each in added if factor]
+            out.append(sp.csc_array(sum(parts, padded(matrix.T, self.model.n_dof)).T))
+        stiffness, damping, mass = out
+        return stiffness, damping, mass
 
     def static_response(self, forces: np.ndarray) -> np.ndarray:
         """Motions of the full model under static forces (n_full, m) with the stiffness at the basis' reference values.
