@@ -63,7 +63,7 @@ def _loaded(model: StructuralModel, loads: Sequence[Load]) -> StructuralModel:
         terms = [
             outer_term(x.parameter.name, list(x.rows), parameter(x.parameter.name)) for x in loads if x.kind == kind
         ]
-        return AffineMatrix(own.n_dof, (*own.terms, *terms), own.selected)
+        return replace(own, terms=(*own.terms, *terms))
 
     parameters = (*model.space.parameters, *(load.parameter for load in loads))
     return replace(
