@@ -84,12 +84,11 @@ def effect_basis(
     stage, batches = "training the basis for the effects", math.ceil(len(perturbations) / TOGETHER)
     group = max(min(_EFFECTS, _ROWS // model.n_dof), 1)
     if effects:
-        vectors = _with_undamped(growth, replace(basis, vectors=vectors), middle, error)
+        vectors = _with_undamped(growth, basis, middle, error)
     for first in range(0, len(effects), group):
         progress(stage, first, len(effects) + batches)
-        known = ReducedModel(model, replace(basis, vectors=vectors))
-        vectors = _with_modes(growth, known, effects[first : first + group], points, error)
-        del known  # it holds the vectors so far
+        few, known = effects[first : first + group], replace(basis, vectors=vectors)
+        vectors = _with_modes(growth, ReducedModel(model, known), few, points, error)
     if perturbations:
         basis = replace(basis, vectors=vectors)
         local = LocalDerivatives(growth, basis, middle, model.modes(middle, basis.count))
@@ -181,8 +180,10 @@ def _with_undamped(growth: Growth, basis: Basis, point: Mapping[str, float], err
     one would be solved anew.
     """
     model = growth.model
+    if not model.is_damped:
+        return basis.vectors
     known, there = undamped_counts(ReducedModel(model, basis), point, basis.count) or (0, 0)
-    if known >= there or not model.is_damped:
+    if known >= there:
         return basis.vectors
     stiffness, _, mass = model.matrices(point)
     solved = solve_modes(stiffness, None, mass, min(there, model.n_dof), model.dofs.direction >= 3)

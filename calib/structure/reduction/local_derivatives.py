@@ -30,8 +30,10 @@ _SURE = 0.1
 """Estimated squared error of a derivative, over the one allowed, at which nothing is added for it."""
 _FORCE = 1e-3
 """Forces of a perturbation on the modes, over the largest, that have a static response of their own."""
+_NEGLIGIBLE = 1e-3
+"""Energy of a direction of the responses, over the squared error allowed, below which it is dropped."""
 _COLUMNS = 64
-"""Columns that are solved at a time."""
+"""Columns that are solved at a time: copies of all would take several times their memory."""
 
 
 class LocalDerivatives:
@@ -68,7 +70,8 @@ class LocalDerivatives:
         self._modes = np.flatnonzero(counted)
         own = modes.shapes[:, self._modes]
         self._size = np.sqrt(np.einsum("ij,ij->j", own.conj(), growth.matrix @ own).real)
-        self._inertia, self._dissipation = (real_times(matrix, self._shapes) for matrix in self._matrices[:0:-1])
+        _, damping, mass = self._matrices
+        self._inertia, self._dissipation = real_times(mass, self._shapes), real_times(damping, self._shapes)
         self._space = _Space()
         self._extend(self._space, basis.vectors)
 
@@ -87,7 +90,7 @@ class LocalDerivatives:
         right = [real_times(self.vectors[one.rows].T, one.values) for one in forces]
 
         def take(responses: np.ndarray) -> None:
-            new = self._independent(space, responses, _FORCE * error)
+            new = self._independent(space, responses, _NEGLIGIBLE * error)
             self._extend(space, new)
             for k, one in enumerate(forces):
                 right[k] = np.concatenate([right[k], real_times(new[one.rows].T, one.values)])
@@ -95,9 +98,9 @@ class LocalDerivatives:
         for some in self._static(forces):
             take(self._factor.solve(some))
         waiting, rng = np.arange(len(forces)), np.random.default_rng(len(self.vectors))
-        for turn in range(_ROUNDS + 1):
+        for left in range(_ROUNDS, -1, -1):
             solved = self._galerkin(space, right)
-            if turn == _ROUNDS:
+            if not left:
                 break
             rest = self._lacking(space, solved, [forces[k] for k in waiting], waiting, rng)
             response = self._factor.solve(rest)
@@ -113,6 +116,7 @@ class LocalDerivatives:
         self._space = space.turned(directions[:, : fewest((found.T @ directions) ** 2, error)])
 
     def _forces(self, perturbations: Sequence[Perturbation]) -> list[_Forces]:
+        """Of each perturbation ``(dK + lambda dC + lambda^2 dM) psi`` at every mode, per unit of its magnitude."""
         model = extend(self._growth.model, [one.effect for one in perturbations])
         shapes, lam = self._shapes[:, self._modes], self._lam[self._modes]
         found = []
@@ -200,22 +204,22 @@ class LocalDerivatives:
     ) -> np.ndarray:
         """Residual forces of perturbations, summed over modes with random phases, (n_dof, m), real."""
         lam = self._lam[self._modes]
-        turn = np.exp(2j * np.pi * rng.random((len(lam), len(forces))))
-        turn *= np.array([one.weight for one in forces]) / self._size[:, None]
+        phases = np.exp(2j * np.pi * rng.random((len(lam), len(forces))))
+        phases *= np.array([one.weight for one in forces]) / self._size[:, None]
         own = solved.motions[:, :, which]
         out = np.zeros((len(self._diagonal), len(forces)))
         for matrix, power in zip(self._matrices, (0, 1, 2), strict=True):
             if matrix.nnz:
-                small = np.einsum("kp,kip->ip", turn * lam[:, None] ** power, own).real
+                small = np.einsum("kp,kip->ip", phases * lam[:, None] ** power, own).real
                 out += matrix @ space.combined(small)
         by_inertia, by_damping = (np.zeros((len(self._lam), len(forces)), dtype=complex) for _ in range(2))
         for k, (near, factors) in enumerate(solved.borders):
-            held = factors[:, which] * turn[k]
+            held = factors[:, which] * phases[k]
             by_damping[near] += held
             by_inertia[near] += held * (lam[k] + self._lam[near])[:, None]
         out += (self._inertia @ by_inertia + self._dissipation @ by_damping).real
         for p, one in enumerate(forces):
-            out[one.rows, p] += (one.values @ turn[:, p]).real
+            out[one.rows, p] += (one.values @ phases[:, p]).real
         return out
 
 
@@ -285,8 +289,7 @@ class _Space:
 
     def turned(self, directions: np.ndarray) -> _Space:
         """The first part, and of all others some directions, (n - n_0, m)."""
-        known, out = self.parts[0], _Space()
-        others = _Space()
+        known, out, others = self.parts[0], _Space(), _Space()
         others.parts = self.parts[1:]
         out.parts = [np.hstack([known, others.combined(directions)])]
         whole = la.block_diag(np.eye(known.shape[1]), directions)
