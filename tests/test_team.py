@@ -1,9 +1,11 @@
 """Tasks shared with other processes: the same results, failures and order as in one, and nothing left behind."""
 
+import gc
 import multiprocessing
 import os
 import sys
 import tempfile
+import weakref
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -173,6 +175,18 @@ def test_the_same_array_is_written_once_and_a_dropped_one_is_deleted(two, module
         two(module.product, (matrix, 0), range(40))
         files.append({path.name for path in two._store.file("").parent.glob("*.npy")})
     assert files[0] == files[1] and files[1] & files[2] == set() and len(files[2]) == 1
+
+
+def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken_for_it(two, module):
+    for value in (1.0, 2.0, 3.0):  # CPython gives a new array the number of one that has gone
+        matrix = np.full((90, 90), value)
+        gone = weakref.ref(matrix)
+        found = two(module.product, (matrix, 0), range(40))
+        assert all(column[0] == 90 * value**2 for _, column, *_ in found)
+        del matrix
+        gc.collect()
+        assert gone() is None
+        assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
 
 
 def test_libraries_use_one_thread_in_every_process(two, module, meeting):

@@ -8,6 +8,7 @@ import multiprocessing
 import pickle
 import queue
 import time
+import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing.context import SpawnContext
@@ -324,16 +325,19 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
 
 
 class _Store:
-    """Temporary folder of what a call shares; large arrays that the next call shares too are written once."""
+    """Temporary folder of what a call shares; large arrays that the next call shares too are written once.
+
+    It keeps none of them in memory: a large model would stay there after its call.
+    """
 
     def __init__(self) -> None:
         self._folder = TemporaryFolder()
-        self._kept: dict[int, tuple[np.ndarray, Path]] = {}
+        self._kept: dict[int, tuple[weakref.ref[np.ndarray], Path]] = {}
+        self._files: set[Path] = set()
         self._number = 0
-        self._last: Path | None = None
 
     def close(self) -> None:
-        self._kept = {}
+        self._kept, self._files = {}, set()
         self._folder.close()
 
     def file(self, suffix: str) -> Path:
@@ -342,27 +346,24 @@ class _Store:
 
     def written(self, content: object) -> Path:
         """File of a content, without its large arrays; files of the call before that are not needed are deleted."""
-        buffer, arrays = io.BytesIO(), dict[int, tuple[np.ndarray, Path]]()
+        buffer, arrays, files = io.BytesIO(), dict[int, tuple[weakref.ref[np.ndarray], Path]](), set[Path]()
 
         def place(array: np.ndarray) -> Path:
-            if id(array) not in arrays:
-                known = self._kept.get(id(array))
-                if known is None:
-                    np.save(path := self.file(".npy"), array, allow_pickle=False)
-                    known = array, path
-                arrays[id(array)] = known  # keeps the array, so that no other one takes its number
-            return arrays[id(array)][1]
+            known, path = arrays.get(id(array)) or self._kept.get(id(array)) or (None, None)
+            if known is None or path is None or known() is not array:  # another one may have had its number
+                np.save(path := self.file(".npy"), array, allow_pickle=False)
+                known = weakref.ref(array)
+            arrays[id(array)] = known, path
+            files.add(path)
+            return path
 
         _Pickler(buffer, place).dump(content)
-        for _, path in (one for number, one in self._kept.items() if number not in arrays):
+        (whole := self.file(".pickle")).write_bytes(buffer.getbuffer())
+        for path in self._files - files:
             with contextlib.suppress(OSError):
                 path.unlink()
-        if self._last is not None:
-            with contextlib.suppress(OSError):
-                self._last.unlink()
-        self._kept, self._last = arrays, self.file(".pickle")
-        self._last.write_bytes(buffer.getbuffer())
-        return self._last
+        self._kept, self._files = arrays, {*files, whole}
+        return whole
 
 
 class _Pickler(pickle.Pickler):
