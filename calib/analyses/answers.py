@@ -8,7 +8,6 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Protocol
 
 import numpy as np
-import pandas as pd
 
 from calib.analyses.uncertainty import ASSUMED
 from calib.correlation.frf.comparison import FRFComparison
@@ -19,6 +18,8 @@ from calib.problem.joint import of_test
 from calib.results.answer import Answer, signed
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from calib.analyses.fit_statistics import FitStatistics
 
 NAMED = 6

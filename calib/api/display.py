@@ -9,8 +9,6 @@ from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import pandas as pd
-
 from calib.analyses.answers import FIT, UNFITTED
 from calib.api.entries.entry import Entry, Words, html_of, lines_of
 from calib.api.pairs import reporting
@@ -19,6 +17,7 @@ from calib.problem.joint import of_test, prefixed, stacked
 from calib.results.answer import LABEL, Answer
 
 if TYPE_CHECKING:
+    import pandas as pd
     from matplotlib.axes import Axes
 
     from calib.analyses.compare import ComparisonResult

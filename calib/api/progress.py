@@ -10,13 +10,13 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-from rich.table import Column
 
 from calib.execution.stage import Progress as Told
 from calib.execution.stage import silent
 
 if TYPE_CHECKING:
+    from rich.progress import Progress
+
     from calib.results.running import RunningNote
 
 ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
@@ -37,6 +37,9 @@ def bars(verb: str) -> Iterator[Told]:
     if not ERR.is_terminal:
         yield _Lines(verb, ERR.print, SPARSE)
         return
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn  # slow to import, and not always shown
+    from rich.table import Column
+
     words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
     columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[remaining]}"))
     with Progress(*columns, console=ERR, transient=True, expand=True) as bar:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.rules import RULES
 from calib.errors.errors import EvaluationError, InputError
@@ -20,6 +19,8 @@ from calib.structure.modes import Modes
 from calib.structure.places import ModelPlace
 
 if TYPE_CHECKING:
+    import pandas as pd
+
     from calib.results.results import Results
 
 GEOMETRY = ("mesh_points.csv", "mesh_elements.csv", "model_places.csv")
@@ -48,6 +49,8 @@ def write_geometry(results: Results, model: ModalModel) -> None:
 
 def points_table(mesh: Mesh) -> pd.DataFrame:
     """Return the points of a mesh with known coordinates, numbered from 0 among all: columns ``point, x, y, z`` (m)."""
+    import pandas as pd
+
     return pd.DataFrame(mesh.points, columns=["x", "y", "z"]).rename_axis("point").reset_index()[mesh.placed]
 
 
@@ -57,6 +60,8 @@ def elements_table(mesh: Mesh) -> pd.DataFrame:
     Lines whose group has faces are left out, as edges of these faces, and so are elements with a point of unknown
     coordinates.
     """
+    import pandas as pd
+
     shells = set(mesh.face_groups)
     alone = np.array([group not in shells for group in mesh.groups], dtype=bool)
     lines = pd.DataFrame(np.reshape(mesh.lines, (-1, 2))[alone], columns=["a", "b"]).astype("Int64")
@@ -77,6 +82,8 @@ def places_table(places: Iterable[ModelPlace]) -> pd.DataFrame:
         Columns ``name, form, kind, parameters`` (names with semicolons between), ``x, y, z`` (m) and ``dx, dy, dz``
         (direction of a spring or damper).
     """
+    import pandas as pd
+
     rows = [
         (p.name, p.form, p.kind, "; ".join(p.parameters), *p.place, *p.direction)
         for p in places

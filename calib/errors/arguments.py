@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.errors import InputError
 
@@ -77,8 +76,11 @@ def path(given: Any, place: str) -> Path:
 
 def by_name(given: Any, place: str) -> dict[str, Any]:
     """Values by name, from a mapping or a pandas Series; InputError for anything else."""
-    if not isinstance(given, Mapping | pd.Series):
-        raise InputError(f"it is {_told(given)}", place=place, remedy='give values by name, such as {"a": 1.0}')
+    if not isinstance(given, Mapping):
+        import pandas as pd
+
+        if not isinstance(given, pd.Series):
+            raise InputError(f"it is {_told(given)}", place=place, remedy='give values by name, such as {"a": 1.0}')
     found = dict(given)
     for name in found:
         if not isinstance(name, str):

@@ -13,15 +13,16 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import CancelledError, Future, ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from multiprocessing.process import BaseProcess
-from typing import Protocol
-
-import pandas as pd
+from typing import TYPE_CHECKING, Protocol
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, worker
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Function, Individual, Outcome, attempt
 from calib.execution.tasks import one_thread
 from calib.execution.worker import Source
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Arrived = Callable[[Outcome], None]
 """Callback for every outcome as soon as it is available, in any order."""

@@ -5,9 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
-
-import pandas as pd
+from typing import TYPE_CHECKING, Any
 
 from calib.correlation.frf.nuisance import NUISANCES, Nuisance, belonging_to, concerned, require_channels
 from calib.correlation.frf.problem import FRFProblem, assumed_frfs
@@ -21,6 +19,9 @@ from calib.measurement.frf import MeasuredFRFs
 from calib.measurement.frf_parts import HeldOutFRFs
 from calib.measurement.thinning import thinned
 from calib.structure.model import Assumption, StructuralModel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -189,6 +190,8 @@ class FRFTest(Test):
 
         Bands that are held out are not marked.
         """
+        import pandas as pd
+
         whole, rows = self.frfs, []
         for function in whole.functions:
             response, reference, freq = function.response.name, function.reference.name, whole.freq[function.lines]

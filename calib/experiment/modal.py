@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
@@ -21,6 +20,9 @@ from calib.measurement.corrections import corrected
 from calib.measurement.modal import MeasuredModes
 from calib.structure.function_model import FunctionModel
 from calib.structure.model import Assumption, StructuralModel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 MODE_COLUMNS = (
     "mode", "held_out", "natural_freq", "damped_freq", "freq_std", "damping_ratio", "damping_std", "repeats",
@@ -255,6 +257,8 @@ class ModalTest(Test):
 
     def table(self) -> pd.DataFrame:
         """`MODE_COLUMNS`: frequencies in Hz, damping as a ratio, and the number of repeats of the frequency."""
+        import pandas as pd
+
         whole = self.modes
         freq_std, damping_std = self._std_used()
         columns = {

@@ -6,10 +6,9 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.modal.responses import response_problem
 from calib.correlation.response.problem import FunctionProblem, Targets, assumed_responses
@@ -20,6 +19,9 @@ from calib.experiment.held_out import HeldOutGroups, held_out_responses
 from calib.experiment.test import UNNAMED, Claimed, Model, Test, TestError, require_named, test_place
 from calib.measurement.responses import MeasuredResponses
 from calib.structure.model import Assumption
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +147,8 @@ class ResponseTest(Test):
 
     def table(self) -> pd.DataFrame:
         """``response, held_out, value, std, repeats, std_used``."""
+        import pandas as pd
+
         whole = self.measured
         rows = [
             (name, name in self.held_out, value, np.nan if std is None else std, whole.counts.get(name, np.nan), used)

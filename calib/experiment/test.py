@@ -5,10 +5,9 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, ClassVar, Self
+from typing import TYPE_CHECKING, Any, ClassVar, Self
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.frf.problem import FRFProblem
 from calib.correlation.frf.residual import FRFResidual
@@ -29,6 +28,9 @@ from calib.structure.function_model import FunctionModel
 from calib.structure.located import sensor_partners
 from calib.structure.modal_function import ModalFunctionModel
 from calib.structure.model import Assumption, StructuralModel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 Model = StructuralModel | ModalFunctionModel | FunctionModel
 ForwardProblem = ModalProblem | FunctionProblem | FRFProblem

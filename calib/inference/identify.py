@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from scipy import special
 
 from calib.errors.errors import InputError
@@ -15,6 +16,9 @@ from calib.inference.constraints import ConstraintRows
 from calib.inference.rules import RULES
 from calib.problem.prior import Prior
 from calib.problem.space import Parameter, ParameterSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _ZERO = 1e-13
 
@@ -166,6 +170,8 @@ class Identifiability:
     @property
     def correlation(self) -> pd.DataFrame:
         """Posterior correlation, rows and columns parameters."""
+        import pandas as pd
+
         names = list(self.posterior.names)
         return pd.DataFrame(self.posterior.correlation, index=names, columns=names)
 
@@ -190,13 +196,12 @@ class Identifiability:
 
     def sentences(self) -> tuple[str, ...]:
         """Sentences on confounded parameters and on directions that the data do not see."""
-        table = self.parameters
         out = self.confounded["words"].tolist()
         out += self.directions.loc[~self.directions["seen"], "words"].tolist()
         if self.ratios_only:
             out.append(
-                f"{', '.join(table['parameter'])} can all grow by the same factor without the data noticing: they see "
-                "ratios only. A known mass or stiffness would settle it."
+                f"{', '.join(self.parameters['parameter'])} can all grow by the same factor without the data noticing: "
+                "they see ratios only. A known mass or stiffness would settle it."
             )
         return tuple(out)
 
@@ -292,6 +297,8 @@ def identify(
     constraints : ConstraintRows, optional
         Rows beside the data, whatever the misfit; those of correlated priors must be among them.
     """
+    import pandas as pd
+
     chosen = tuple(names)
     at = dict(values or {})
     own = [space[n].prior_width_at(at.get(n, space[n].value)) for n in chosen]
@@ -307,42 +314,43 @@ def identify(
     known = zip(chosen, found.std.tolist(), found.data_share.tolist(), strict=True)
     bad = [faults(space[n], std, share, at.get(n), searched) for n, std, share in known]
     identified = np.array([not why for why in bad], dtype=bool)
-    parameters = pd.DataFrame(
-        {
-            "parameter": chosen,
-            "std": found.std,
-            "needed": [needed_std(space[n], at.get(n)) for n in chosen],
-            "identified": identified,
-            "prior_sd": s,
-            "data_share": found.data_share,
-        }
-    )
+    columns = {
+        "parameter": chosen,
+        "std": found.std,
+        "needed": [needed_std(space[n], at.get(n)) for n in chosen],
+        "identified": identified,
+        "prior_sd": s,
+        "data_share": found.data_share,
+    }
     reach = np.where(np.isfinite(s), s, span / math.sqrt(12.0))
     directions = _directions(chosen, g * reach)
     scale = math.nan
     if values is not None and len(chosen) > 1:
         scale = float(np.linalg.norm(g @ (0.1 * np.array([values[n] for n in chosen]))))
-    return Identifiability(found, parameters, _confounded(found, identified, threshold), directions, scale, searched)
+    confounded = _confounded(found, identified, threshold)
+    return Identifiability(found, pd.DataFrame(columns), confounded, directions, scale, searched)
 
 
 def _confounded(found: Posterior, identified: np.ndarray, threshold: float) -> pd.DataFrame:
+    import pandas as pd
+
     rows = []
-    for a in range(len(found.names)):
-        for b in range(a + 1, len(found.names)):
-            r = float(found.correlation[a, b])
-            if abs(r) < threshold:
-                continue
-            one, other = found.names[a], found.names[b]
-            way = "raising both" if r > 0 else "raising one and lowering the other"
-            words = f"{one} and {other} are confounded: {way} hardly changes the data."
-            if identified[a] and identified[b]:
-                words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both have small standard deviations."
-            rows.append((one, other, r, words))
+    for (a, one), (b, other) in combinations(enumerate(found.names), 2):
+        r = float(found.correlation[a, b])
+        if abs(r) < threshold:
+            continue
+        way = "raising both" if r > 0 else "raising one and lowering the other"
+        words = f"{one} and {other} are confounded: {way} hardly changes the data."
+        if identified[a] and identified[b]:
+            words = f"{one} and {other} are strongly correlated ({r:.2f}), yet both have small standard deviations."
+        rows.append((one, other, r, words))
     rows.sort(key=lambda row: -abs(row[2]))
     return pd.DataFrame(rows, columns=["parameter_a", "parameter_b", "correlation", "words"])
 
 
 def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
+    import pandas as pd
+
     n = len(names)
     _, singular, vt = np.linalg.svd(np.vstack([scaled, np.zeros((n, n))]), full_matrices=False)
     rows: list[tuple[int, float, float, bool, str, str]] = []
@@ -357,8 +365,7 @@ def _directions(names: tuple[str, ...], scaled: np.ndarray) -> pd.DataFrame:
         words += f": one prior standard deviation changes them by {signal:.2g} measurement standard deviations."
         share = signal**2 / (1 + signal**2)
         rows.append((len(rows) + 1, signal, share, seen, ", ".join(name for name, _ in named), words))
-    columns = ["direction", "signal", "data_share", "seen", "parameters", "words"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=["direction", "signal", "data_share", "seen", "parameters", "words"])
 
 
 def prediction_interval(
@@ -383,10 +390,11 @@ def prediction_interval(
     DataFrame
         ``mode, natural_freq, std, lower, upper``; Hz. Limits are symmetric in the logarithm.
     """
-    with np.errstate(invalid="ignore"):
+    import pandas as pd
+
+    with np.errstate(invalid="ignore", over="ignore"):
         relative = np.sqrt(np.einsum("ij,jk,ik->i", jacobian, covariance, jacobian))
-    relative = np.where(np.isnan(relative), np.inf, relative)
-    reach = float(special.ndtri(0.5 + level / 2)) * relative
-    with np.errstate(over="ignore"):
+        relative = np.where(np.isnan(relative), np.inf, relative)
+        reach = float(special.ndtri(0.5 + level / 2)) * relative
         table = {"std": freq * relative, "lower": freq * np.exp(-reach), "upper": freq * np.exp(reach)}
     return pd.DataFrame({"mode": list(labels), "natural_freq": freq, **table})

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.inference.constraints import Hold
 from calib.inference.identify import Identifiability, faults, needed_std
 from calib.inference.rules import RULES, WIDE
 from calib.problem.space import Parameter, ParameterSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 DOUBTS = {
     "misfit": "the model does not fit, so that the standard deviations do not hold",
@@ -100,6 +103,8 @@ def parameter_verdicts(
         A limit is suggested half a range further out; a limit of 0 is physical
         and stays.
     """
+    import pandas as pd
+
     known = zip(found.posterior.std.tolist(), found.posterior.data_share.tolist(), strict=True)
     stds = dict(zip(found.posterior.names, known, strict=True))
     rows = []

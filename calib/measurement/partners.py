@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.measurement.frf_units import LENGTHS
@@ -16,6 +15,7 @@ from calib.measurement.places import Point
 from calib.measurement.rules import RULES
 
 if TYPE_CHECKING:
+    import pandas as pd
     from scipy.spatial import cKDTree
 
 PARTNER_COLUMNS = (
@@ -83,6 +83,8 @@ class NodePartners:
 
     def text(self, most: int = 40) -> str:
         """The table in lines of text, the worst for its limit first, of at most so many nodes."""
+        import pandas as pd
+
         rows = self._worst_first.head(most)
         places = {axis: rows[axis].map("{:.4g}".format) for axis in _AXES}
         cells = pd.DataFrame({"node": rows["node"], **places, "partner": rows["partner"].map(_number)})
@@ -145,6 +147,8 @@ def node_partners(
     >>> found.of
     {1: 0, 2: 10}
     """
+    import pandas as pd
+
     if not model:
         raise InputError("no node has coordinates", place="model", remedy="give the coordinates of its nodes")
     require_limit(limit)
@@ -184,6 +188,8 @@ def partner_table(nodes: np.ndarray, points: np.ndarray, distance: np.ndarray, l
     distance, limit : ndarray (n_measured,)
         m.
     """
+    import pandas as pd
+
     table = pd.DataFrame({"node": nodes, **{axis: points[:, k] for k, axis in enumerate(_AXES)}})
     table["partner"] = pd.array([pd.NA] * len(nodes), dtype="Int64")
     table[["partner_x", "partner_y", "partner_z"]] = np.nan
@@ -329,6 +335,8 @@ def _few(said: Sequence[str], between: str = ", ") -> str:
 
 def _offsets(rows: pd.DataFrame) -> str:
     """The first rows of a table of partners in words."""
+    import pandas as pd
+
     return _few(
         [
             f"node {r['node']} by {_length(r['distance'])}"
@@ -345,6 +353,8 @@ def _nodes(count: int) -> str:
 
 
 def _number(node: Any) -> str:
+    import pandas as pd
+
     return "" if pd.isna(node) else str(node)
 
 

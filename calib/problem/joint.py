@@ -6,10 +6,9 @@ import math
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
-import pandas as pd
 import scipy.linalg as la
 
 from calib.errors.errors import EvaluationError, InputError, raised_anew
@@ -17,6 +16,9 @@ from calib.problem.degrees_of_freedom import behind
 from calib.problem.labels import Label, label_table
 from calib.problem.problem import Counts
 from calib.problem.space import Parameter, ParameterSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _Result = TypeVar("_Result")
 
@@ -65,6 +67,8 @@ class JointRows:
     @property
     def labels(self) -> pd.DataFrame:
         """Labels of all tests, n_rows, with a column `TEST` and every column that a test brings; see `label_table`."""
+        import pandas as pd
+
         shared = pd.DataFrame(self.rows)[[TEST, "mode", "kind", "sensor"]]
         return label_table([row.own for row in self.rows]).assign(**shared)
 
@@ -245,6 +249,8 @@ TEST = "test"
 
 def stacked(tables: Mapping[str, pd.DataFrame]) -> pd.DataFrame:
     """Stacked tables of several tests, with a column `TEST`."""
+    import pandas as pd
+
     return pd.concat([table.assign(**{TEST: test}) for test, table in tables.items()], ignore_index=True)
 
 

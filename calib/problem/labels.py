@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-import pandas as pd
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 class Label(Protocol):
@@ -53,6 +54,8 @@ class Labelled(Protocol):
 
 def label_table(rows: Sequence[Label]) -> pd.DataFrame:
     """Labels of rows as a table, n_rows, with every column that any of them has; empty where a row has none."""
+    import pandas as pd
+
     table = pd.DataFrame([row._asdict() for row in rows])
     return table.astype(object).where(table.notna(), "").infer_objects()
 

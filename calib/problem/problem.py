@@ -6,16 +6,18 @@ import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.errors import EvaluationError, raised_anew
 from calib.execution.ahead import is_collecting
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.problem.labels import Label, Labelled, label_table
 from calib.problem.space import ParameterSpace
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 REMEMBERED = 8
 """Number of cached solutions, so that a derivative does not solve its point again."""

@@ -6,16 +6,18 @@ import difflib
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.arguments import number, objects
 from calib.errors.errors import InputError
 from calib.problem.constraint import LinearConstraint
 from calib.problem.parameter import Parameter
 from calib.problem.prior import PLACE, prior_correlations
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["LinearConstraint", "Parameter", "ParameterSpace", "replace_parameters"]
 
@@ -146,6 +148,8 @@ class ParameterSpace:
 
     def frame(self) -> pd.DataFrame:
         """One row per parameter: value, limits, unit, distribution, scale, prior width, description and source."""
+        import pandas as pd
+
         return pd.DataFrame(
             [
                 {
@@ -376,13 +380,8 @@ class ParameterSpace:
         upper, lower = np.isfinite(high), np.isfinite(low)
         matrix = np.vstack([rows[upper], -rows[lower]])
         bound = np.concatenate([high[upper], -low[lower]])
-        solution = linprog(
-            np.zeros(rows.shape[1]),
-            A_ub=matrix,
-            b_ub=bound,
-            bounds=list(zip(self.lower, self.upper, strict=True)),
-            method="highs",
-        )
+        limits = list(zip(self.lower, self.upper, strict=True))
+        solution = linprog(np.zeros(rows.shape[1]), A_ub=matrix, b_ub=bound, bounds=limits, method="highs")
         if solution.status == 2:
             names = ", ".join(c.name for c in self.constraints)
             raise InputError(

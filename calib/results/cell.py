@@ -5,10 +5,12 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from calib.errors.place import Place
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 COMMA_NUMBER = re.compile(r"[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?", re.ASCII)
@@ -46,6 +48,7 @@ def unguarded(cell: str) -> str:
 
 def guarded_table(table: pd.DataFrame) -> pd.DataFrame:
     """A table whose texts, names of columns and rows included, are `guarded`; numbers stay numbers."""
+    import pandas as pd
 
     def cell(value: object) -> object:
         return guarded(value) if isinstance(value, str) else value

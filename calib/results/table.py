@@ -14,16 +14,18 @@ import re
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
-from pandas.api.extensions import ExtensionArray
 
 from calib.errors.errors import InputError
 from calib.errors.place import Place
 from calib.results.cell import COMMA_NUMBER, SEPARATORS, number_of, place_of_entry, separator_of, shortened, unguarded
 from calib.results.former_names import old_column
 from calib.results.written import FLAGS
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 AGAIN = "run the study again to rewrite it"
 """Remedy for a damaged table that calib has written itself."""
@@ -183,6 +185,8 @@ def read_table(
     InputError
         Naming the file, the line and the column.
     """
+    import pandas as pd
+
     wanted = [column for column in (*text, *numbers, *flags) if column not in if_there]
     key = (unique,) if isinstance(unique, str) else tuple(unique)
     sheet = _read(path, [*wanted, *(column for column in key if column not in wanted)], comments=False, remedy=AGAIN)
@@ -194,7 +198,7 @@ def read_table(
     if others_are_numbers and not others and sheet.cells:
         raise InputError(f"there is no column beside {', '.join(text)}", place=path)
     columns = dict(zip(header, map(list, zip(*sheet.cells, strict=True)), strict=True)) if sheet.cells else {}
-    out: dict[str, np.ndarray | ExtensionArray] = {}
+    out: dict[str, np.ndarray | pd.api.extensions.ExtensionArray] = {}
     for column in [*blank, *wanted, *others]:
         cells = columns.get(column, [""] * len(sheet.cells))
         if column in blank:

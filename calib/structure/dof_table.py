@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal, TypeAlias
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
-import pandas as pd
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
 from calib.measurement.modal import DIRECTIONS
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 Layers: TypeAlias = Literal["mean"]
 """How rows that are named alike move their node: ``"mean"`` of the first and the last of them."""
 
-Dofs: TypeAlias = pd.DataFrame | Iterable[Any] | np.ndarray
+Dofs: TypeAlias = "pd.DataFrame | Iterable[Any] | np.ndarray"
 """A table ``node, direction[, x, y, z]``, pairs, or numbers such as 11.03; or several tables, one of each run."""
 
 _PACKED = ((10, "12.3 for direction 3 of node 12, as CalculiX does"), (100, "12.03, as SDT does"))
@@ -71,6 +73,8 @@ class DofTable:
     @property
     def repeated(self) -> np.ndarray:
         """Rows that bear the name of an earlier one, (n_repeated,), int."""
+        import pandas as pd
+
         again = pd.MultiIndex.from_arrays([self.node, self.direction]).duplicated()
         return np.flatnonzero(again & (self.node >= 0))
 
@@ -106,6 +110,8 @@ class DofTable:
             When a column is missing, a direction is unknown, a row is named twice without ``layers``, a node has two
             positions, or the tables of two runs differ.
         """
+        import pandas as pd
+
         place = f"model {name}, dofs"
         if layers not in (None, "mean"):
             raise InputError(
@@ -166,6 +172,8 @@ def _of_runs(tables: Sequence[DofTable], place: str) -> DofTable:
 
 def _table(given: Any, place: str) -> pd.DataFrame:
     """Pairs, or numbers that name node and direction, as a table."""
+    import pandas as pd
+
     rows = [given] if isinstance(given, str | Mapping) or not isinstance(given, Iterable) else list(given)
     packed = [_number(row) for row in rows]
     if rows and all(one is not None for one in packed):
@@ -182,6 +190,8 @@ def _number(row: Any) -> float | None:
 
 def _unpacked(packed: np.ndarray, place: str) -> pd.DataFrame:
     """Node and direction of numbers such as 12.3 or 12.03: the digits of all rows decide which form they have."""
+    import pandas as pd
+
     node, known = np.floor(packed), []
     for form, _ in _PACKED:
         direction = form * (packed - node)
@@ -235,6 +245,8 @@ def two_columns(given: object, place: str, of: str) -> list[tuple[Any, Any]]:
 
 
 def _points(table: pd.DataFrame, node: np.ndarray, count: int, labels: np.ndarray, place: str) -> np.ndarray:
+    import pandas as pd
+
     out = np.full((count, 3), np.nan)
     given = [c for c in "xyz" if c in table]
     if not given:

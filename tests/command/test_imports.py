@@ -35,4 +35,4 @@ def test_a_process_that_evaluates_a_study_imports_no_more_than_it_needs():
     imported = set(done.stdout.split())
     assert "calib.study.study" in imported
     scipy = {f"scipy.{name}" for name in ("signal", "stats", "optimize", "special", "ndimage", "spatial")}
-    assert not imported & {*scipy, "matplotlib", "pymoo", "SALib", "jinja2"}
+    assert not imported & {*scipy, "pandas", "pyuff", "matplotlib", "pymoo", "SALib", "jinja2"}

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from calib.measurement.frf import MeasuredFRFs, MeasuredFunction
 from calib.structure.modal_model import ModalModel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 
 def assurance(measured: np.ndarray, model: np.ndarray) -> float:
@@ -58,6 +61,8 @@ class FRFComparison:
         measured one; ``error`` the norm of their difference over that of the measured one; ``in_std`` the root mean
         square of the difference in standard deviations, 1 for a right model.
         """
+        import pandas as pd
+
         rows = []
         criteria = zip(self.measured.functions, *frac_and_amplitude(self.measured, self.model), strict=True)
         for function, frac, amplitude in criteria:
@@ -76,6 +81,8 @@ class FRFComparison:
         ``assurance`` is that of all functions at that line, NaN for a single one: it tells where along the frequency
         axis the deflections differ; ``amplitude`` and ``in_std`` as in `functions_table`.
         """
+        import pandas as pd
+
         rows = []
         for k, freq in enumerate(self.measured.freq):
             known = np.isfinite(self.measured.values[k])
@@ -89,6 +96,8 @@ class FRFComparison:
 
     def overlay_table(self) -> pd.DataFrame:
         """One row per measured entry: ``response, reference, freq``, both functions (``_re, _im``) and ``std``."""
+        import pandas as pd
+
         parts = []
         for function in self.measured.functions:
             test, model, std = self._at(function)

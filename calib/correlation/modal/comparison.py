@@ -7,9 +7,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.modal.pairing import Pairing
 from calib.correlation.rules import RULES
@@ -19,17 +19,18 @@ from calib.measurement.modal import MeasuredModes
 from calib.structure.modal_model import ModalModel
 from calib.structure.modes import Modes
 
+if TYPE_CHECKING:
+    import pandas as pd
+
 _MOTION = ["u", "v", "w"]
 UNTESTED = "No standard deviation is stated, so deviations are not tested."
 
 _Row = tuple[str, str, float, float, float, str]
 
-BEYOND, WITHIN, UNKNOWN, UNPAIRED = (
-    "beyond measurement uncertainty",
-    "within measurement uncertainty",
-    "standard deviation unknown",
-    "not paired",
-)
+BEYOND = "beyond measurement uncertainty"
+WITHIN = "within measurement uncertainty"
+UNKNOWN = "standard deviation unknown"
+UNPAIRED = "not paired"
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,6 +171,8 @@ class Comparison:
         ``model_mode`` is the number of the paired model mode, from 1, missing where there is none; ``freq_error`` is
         (natural model - natural measured)/natural measured, a signed fraction.
         """
+        import pandas as pd
+
         nothing = np.full(self.modes.n_modes, np.nan)  # an undamped model says nothing of damping
         return pd.DataFrame(
             {
@@ -190,6 +193,8 @@ class Comparison:
 
     def mac_table(self) -> pd.DataFrame:
         """MAC of every measured mode (rows, named in column ``mode``) with every model mode, as ``1 (10.83 Hz)``."""
+        import pandas as pd
+
         columns = [f"{j} ({freq:.2f} Hz)" for j, freq in enumerate(self.modes.natural_freq, start=1)]
         table = pd.DataFrame(self.mac, columns=columns)
         table.insert(0, "mode", list(self.measured.names))
@@ -209,6 +214,8 @@ class Comparison:
 
     def shapes_table(self) -> pd.DataFrame:
         """One row per mode and sensor: measured shape in its most real phase, and the model's, aligned to it."""
+        import pandas as pd
+
         measured, aligned = self.measured.shapes * self.turns, self.aligned_shapes * self.turns
         sensors = self._sensor_columns()
         parts = []
@@ -229,6 +236,8 @@ class Comparison:
         ``u, v, w`` are the real part of the paired model shape in the scale and phase of `shapes_table`; ``point`` is
         its number in the mesh, from 0.
         """
+        import pandas as pd
+
         factors, parts = self.factors * self.turns, [pd.DataFrame(columns=["mode", "point", *_MOTION])]
         for i in self.pairing.paired:
             if mode and self.measured.names[i] != mode:
@@ -241,6 +250,8 @@ class Comparison:
         return pd.concat(parts[1:] or parts, ignore_index=True)
 
     def _sensor_columns(self) -> pd.DataFrame:
+        import pandas as pd
+
         sensors = self.measured.sensors
         place = np.array([s.point or (np.nan,) * 3 for s in sensors], dtype=float).reshape(-1, 3)
         return pd.DataFrame(
@@ -248,9 +259,7 @@ class Comparison:
                 "sensor": [s.name for s in sensors],
                 "node": [s.node for s in sensors],
                 "direction": [s.direction for s in sensors],
-                "x": place[:, 0],
-                "y": place[:, 1],
-                "z": place[:, 2],
+                **dict(zip("xyz", place.T, strict=True)),
             }
         )
 
@@ -276,6 +285,8 @@ class Comparison:
         quantile (square root of an F variate with the degrees of freedom of the comparison and of the repeats behind
         its standard deviation), so about one comparison in twenty exceeds it by chance.
         """
+        import pandas as pd
+
         rows = self._unpaired_rows() + self._frequency_rows() + self._damping_rows()
         if self.measured.has_shapes:
             rows += self._shape_rows() + self._sensor_rows()
@@ -306,14 +317,11 @@ class Comparison:
             why = "No mode is paired, so deviations are not tested." if len(lost) == n else UNTESTED
             return " ".join(words), why
         count = int((tested["verdict"] == BEYOND).sum())
-        chance = (1 - RULES.level) * len(tested)
-        beyond = (
-            f"{count} of {len(tested)} comparisons exceed their measurement uncertainty; "
-            f"{chance:.1f} are expected by chance."
-        )
+        beyond = f"{count} of {len(tested)} comparisons exceed their measurement uncertainty"
+        by_chance = f"{(1 - RULES.level) * len(tested):.1f} are expected by chance"
         worst = tested.iloc[0]
         size = f"{worst['in_std']:.1f} times its standard deviation"
-        return " ".join(words), f"{beyond} The worst is the {worst['kind']} of {worst['what']}, {size}."
+        return " ".join(words), f"{beyond}; {by_chance}. The worst is the {worst['kind']} of {worst['what']}, {size}."
 
     def _limit(self, kind: str, dof: np.ndarray | float) -> np.ndarray:
         """Quantile `RULES.level` of ``in_std`` for a correctly specified model."""
@@ -336,9 +344,8 @@ class Comparison:
 
     def _unpaired_rows(self) -> list[_Row]:
         kind = "shape" if self.measured.has_shapes else "frequency"
-        return [
-            (kind, name, math.nan, math.nan, math.nan, UNPAIRED) for name in self._names(self.pairing.unpaired_measured)
-        ]
+        names = self._names(self.pairing.unpaired_measured)
+        return [(kind, name, math.nan, math.nan, math.nan, UNPAIRED) for name in names]
 
     def _frequency_rows(self) -> list[_Row]:
         i = self.pairing.paired

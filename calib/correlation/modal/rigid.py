@@ -5,16 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pandas as pd
 
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.rules import RULES
 from calib.measurement.mac import mac
 from calib.measurement.modal import DIRECTIONS, Sensor
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 COLUMNS = ("mode", "natural_freq", "rigid_share", "sensors", "looks_rigid")
 
@@ -76,6 +78,8 @@ def rigid_share(shapes: np.ndarray, sensors: Sequence[Sensor]) -> tuple[np.ndarr
 
 def unpaired_table(found: Comparison) -> pd.DataFrame:
     """Measured modes without a partner: `COLUMNS`; ``sensors`` is the number measured in the mode."""
+    import pandas as pd
+
     measured = found.measured
     rows = found.pairing.unpaired_measured
     share, looks = rigid_share(measured.shapes[:, rows], measured.sensors)

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
-
-import pandas as pd
+from typing import TYPE_CHECKING
 
 from calib.execution.outcome import Individual
 from calib.results.ledger.database import Database
 from calib.results.ledger.rows import RowWriter, blob_of_key, key_of_blob
 from calib.results.ledger.schema import STATE
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _RUN = "(SELECT id FROM run WHERE name = ?)"
 
@@ -60,6 +62,8 @@ class History:
 
     def of(self, run: str) -> pd.DataFrame:
         """Points requested by a run: ``generation, individual, key, status, misfit``, sorted by the first two."""
+        import pandas as pd
+
         columns = ["generation", "individual", "key", "status", "misfit"]
         with self._database.explaining():
             rows = self._database.execute(

@@ -14,9 +14,9 @@ from contextlib import contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from calib.execution.evaluate import BatchEvaluator
 from calib.execution.outcome import Individual, Outcome, point_key
@@ -32,6 +32,9 @@ from calib.results.ledger.rows import (
     unpacked,
 )
 from calib.results.ledger.schema import STATE, VERSION, create, version_of
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _BUSY_SECONDS = 30.0
 

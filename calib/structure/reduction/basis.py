@@ -7,14 +7,16 @@ import json
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import pandas as pd
 
 from calib.errors.errors import InputError
 from calib.problem.space import ParameterSpace
 from calib.results.written import replacing
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _FORMAT = "calib reduced basis 3"
 _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
@@ -107,6 +109,8 @@ class Basis:
 
     def table(self) -> pd.DataFrame:
         """Validation points of the training: columns ``round, size, indicator, error`` as in `checks`."""
+        import pandas as pd
+
         table = pd.DataFrame(self.checks, columns=list(CHECK_COLUMNS))
         return table.astype({"round": int, "size": int})
 

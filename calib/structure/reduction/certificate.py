@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 
 from calib.structure.modes import Modes
 from calib.structure.reduction.reduced import ReducedModel
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _CLUSTER = 0.01
 """Modes closer than this relative frequency difference are compared as one subspace: single shapes are ill-defined."""
@@ -111,6 +114,8 @@ def certificate(
         and ``missed`` (number of missed modes in ``max`` and ``above_tolerance``).
     errors : list of ModeErrors
     """
+    import pandas as pd
+
     errors = [mode_errors(reduced, point, count) for point in points]
     rows: list[tuple[str, float, float, float, int]] = []
     for name in ("eigenvalue", "shape"):
