@@ -189,6 +189,16 @@ def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken
         assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
 
 
+def test_parts_of_one_array_are_stored_once_whatever_their_strides(two, module, meeting):
+    whole = np.random.default_rng(2).standard_normal((120, 110))
+    parts = [whole[:100, :100], whole[5:105, 3:103], whole[::-1][:100, :100].T]
+    for part in parts:
+        own = in_this_process(module.product, (part, None), range(30))
+        both = two(module.product, (part, new(meeting)), range(30))
+        assert all(mine[1].tobytes() == theirs[1].tobytes() for mine, theirs in zip(own, both, strict=True))
+        assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
+
+
 def test_libraries_use_one_thread_in_every_process(two, module, meeting):
     found = two(module.threads, meeting, range(12))
     assert len({pid for pid, _ in found}) == 2

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing.context import SpawnContext
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -31,6 +31,8 @@ _TO_START = 2.0
 """Seconds that the others take to start."""
 _LARGE = 1 << 15
 """Bytes from which an array has a file of its own, which other processes map into their memory."""
+_SPARE = 2
+"""An array that a part is of is stored for it where it is not this many times as large."""
 
 
 class Team:
@@ -366,6 +368,13 @@ class _Store:
         return whole
 
 
+class _Stored(NamedTuple):
+    """Where a large array is: in a file of its own, or as a part of another one, by shape, first byte and strides."""
+
+    path: Path
+    part: tuple[tuple[int, ...], int, tuple[int, ...]] | None = None
+
+
 class _Pickler(pickle.Pickler):
     """Pickles an object with paths in place of its large arrays."""
 
@@ -373,12 +382,18 @@ class _Pickler(pickle.Pickler):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
         self._place = place
 
-    def persistent_id(self, obj: object) -> Path | None:
+    def persistent_id(self, obj: object) -> _Stored | None:
         if type(obj) is not np.ndarray or obj.nbytes < _LARGE or obj.dtype.kind not in "fciub":
             return None
-        if not (obj.flags.c_contiguous or obj.flags.f_contiguous):
+        if obj.flags.c_contiguous or obj.flags.f_contiguous:
+            return _Stored(self._place(obj))
+        whole = obj.base
+        if type(whole) is not np.ndarray or not whole.flags.c_contiguous or whole.dtype != obj.dtype:
             return None
-        return self._place(obj)
+        if whole.nbytes > _SPARE * obj.nbytes:
+            return None
+        first = obj.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
+        return _Stored(self._place(whole), (obj.shape, first, obj.strides))
 
 
 class _Unpickler(pickle.Unpickler):
@@ -389,9 +404,14 @@ class _Unpickler(pickle.Unpickler):
         self._arrays: dict[Path, np.ndarray] = {}
 
     def persistent_load(self, pid: Any) -> np.ndarray:
-        if pid not in self._arrays:  # private copies of pages that are written to
-            self._arrays[pid] = np.load(pid, mmap_mode="c", allow_pickle=False).view(np.ndarray)
-        return self._arrays[pid]
+        path, part = pid
+        if path not in self._arrays:  # private copies of pages that are written to
+            self._arrays[path] = np.load(path, mmap_mode="c", allow_pickle=False).view(np.ndarray)
+        whole = self._arrays[path]
+        if part is None:
+            return whole
+        shape, first, strides = part
+        return np.ndarray(shape, whole.dtype, whole, first, strides)
 
 
 def _read(path: Path) -> Any:

@@ -12,7 +12,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.errors.errors import InputError
-from calib.structure.pattern import Pattern, padded, with_data
+from calib.structure.pattern import Pattern, narrow, padded, with_data
 from calib.structure.sparse_indices import require_consistent
 
 
@@ -205,6 +205,9 @@ class Term:
     coefficient: Coefficient = Monomial()
     part: str = ""
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", narrow(self.matrix))
+
 
 @dataclass(frozen=True)
 class SelectedTerm:
@@ -333,8 +336,11 @@ class AffineMatrix:
         """Hash over every term, for the model's fingerprint."""
         out = hashlib.sha256(repr((self.n_dof, [(t.name, t.coefficient) for t in self.terms])).encode())
         stack = self._pattern.stack
-        for array in (self._pattern.form.indptr, self._pattern.form.indices, stack.indptr, stack.indices, stack.data):
+        for array in (self._pattern.form.indptr, self._pattern.form.indices):
             out.update(np.ascontiguousarray(array).tobytes())
+        for array in (stack.indptr, stack.indices):  # as 64 bits, whatever they take in memory
+            out.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
+        out.update(np.ascontiguousarray(stack.data).tobytes())
         for term in self.selected:
             out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())
             for key in sorted(term.vectors):

@@ -25,6 +25,7 @@ from calib.structure.located import sensor_row, sensor_rows
 from calib.structure.matrices import Terms, affine, require_mass, require_used
 from calib.structure.modes import Modes
 from calib.structure.null_space import without_null
+from calib.structure.pattern import narrow
 from calib.structure.places import ModelPlace, model_places
 from calib.structure.unit_system import unit_system
 
@@ -66,6 +67,9 @@ class Part:
     matrix: sp.csr_array
     coefficient: Monomial
     place: tuple[float, float, float]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "matrix", narrow(self.matrix))
 
 
 @dataclass(frozen=True)

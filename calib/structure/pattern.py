@@ -48,6 +48,21 @@ def padded(matrix: sp.csr_array, size: int) -> sp.csr_array:
     return sp.csr_array((matrix.data, matrix.indices, indptr), shape=(size, size))
 
 
+def narrow(matrix: Any) -> Any:
+    """A compressed matrix with indices of 32 bits, as solvers take them; itself where it has these, or needs more.
+
+    SciPy keeps the 64 bits of coordinates, with which indices take as much memory as entries.
+    """
+    if getattr(matrix, "format", "") not in ("csr", "csc") or matrix.indices.dtype == np.int32 == matrix.indptr.dtype:
+        return matrix
+    parts = (matrix.indices, matrix.indptr)
+    if any(part.dtype.kind not in "iu" or (part.size and not 0 <= part.min() <= part.max() < 2**31) for part in parts):
+        return matrix
+    out = copy.copy(matrix)
+    out.indices, out.indptr = (part.astype(np.int32) for part in parts)
+    return out
+
+
 def with_data(form: Any, data: np.ndarray) -> Any:
     """A matrix of the same pattern with other entries; making one anew takes longer than to solve a small model."""
     out = copy.copy(form)
@@ -60,7 +75,8 @@ def _stacked(rows: list[np.ndarray], entries: list[np.ndarray], size: int) -> sp
     if not len(columns):
         return sp.csr_array((size, len(rows)))
     where = (np.concatenate(rows), columns)
-    return sp.csr_array(sp.coo_array((np.concatenate(entries), where), shape=(size, len(rows))))
+    stack: sp.csr_array = narrow(sp.csr_array(sp.coo_array((np.concatenate(entries), where), shape=(size, len(rows)))))
+    return stack
 
 
 def _united(entries: list[tuple[np.ndarray, np.ndarray]], n: int) -> tuple[np.ndarray, np.ndarray]:

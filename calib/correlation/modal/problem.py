@@ -337,7 +337,10 @@ class ModalProblem:
 
     @cached_property
     def has_equal_modes(self) -> bool:
-        """See `calib.correlation.modal.subspaces.equal_at_nominal`."""
+        """See `calib.correlation.modal.subspaces.equal_at_nominal`; effects, which are not there, change nothing."""
+        base = self.base
+        if base is not None and base.measured.names == self.measured.names:
+            return base.has_equal_modes
         return equal_at_nominal(self)
 
     @cached_property

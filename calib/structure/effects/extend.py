@@ -51,8 +51,9 @@ class Addition:
             for term in getattr(self, kind):
                 matrix = sp.csr_array(term.matrix)
                 out.update(repr((kind, term.name, term.coefficient, matrix.shape)).encode())
-                for array in (matrix.indptr, matrix.indices, matrix.data):
-                    out.update(np.ascontiguousarray(array).data)
+                for array in (matrix.indptr, matrix.indices):  # as 64 bits, whatever they take in memory
+                    out.update(np.ascontiguousarray(array, dtype=np.int64).data)
+                out.update(np.ascontiguousarray(matrix.data).data)
         for one in self.selected:
             out.update(repr((one.name, one.coefficient, one.selectors, sorted(one.vectors))).encode())
             for key in sorted(one.vectors):

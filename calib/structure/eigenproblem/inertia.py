@@ -35,6 +35,14 @@ def symmetric_factor(matrix: sp.csc_array | sp.csc_matrix, threshold: float = 0.
     )
 
 
+def solved_by_parts(factor: spla.SuperLU, columns: np.ndarray) -> np.ndarray:
+    """Solutions for real or complex columns (n_dof, m) with a real factor."""
+    if not np.iscomplexobj(columns):
+        return np.asarray(factor.solve(columns))
+    both = factor.solve(np.hstack([columns.real, columns.imag]))
+    return np.asarray(both[:, : columns.shape[1]] + 1j * both[:, columns.shape[1] :])
+
+
 def count_below(stiffness: sp.csc_array, mass: sp.csc_array, freq: float) -> int:
     """Number of undamped modes below a frequency, with multiplicity and rigid-body motions included.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import weakref
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -23,6 +24,14 @@ _ARRAYS = ("vectors", "reference", "lower", "upper", "samples", "checks")
 CHECK_COLUMNS = ("round", "size", "indicator", "error")
 _ROOM = 16
 """Degrees of freedom of effects for which the vectors are stored with room."""
+
+
+class _Room:
+    """The vectors of bases that have the same ones, with room for degrees of freedom of effects."""
+
+    def __init__(self) -> None:
+        self.wide: np.ndarray | None = None
+        self.shared: weakref.WeakSet[Basis] = weakref.WeakSet()
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,9 +88,10 @@ class Basis:
     version: int = 1
     request: str = ""
     key: str = ""
-    _room: list[np.ndarray] = field(init=False, repr=False, default_factory=list)
+    _room: _Room = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
+        self._share(_Room())
         for name in _ARRAYS:
             array = np.asarray(getattr(self, name), dtype=float)
             if array.flags.writeable:  # what another basis holds is shared, not copied: it may be hundreds of megabytes
@@ -132,19 +142,28 @@ class Basis:
 
         What is carried to one model or another is a part of the same array, not a copy.
         """
-        found = self._room
-        if not found or found[0].shape[1] < self.size + more:
-            room = max(more, _ROOM)
-            wide = np.zeros((len(self.vectors) + room, self.size + room))
+        room = self._room
+        if room.wide is None or room.wide.shape[1] < self.size + more:
+            wider = max(more, _ROOM)
+            wide = np.zeros((len(self.vectors) + wider, self.size + wider))
             wide[: len(self.vectors), : self.size] = self.vectors
-            wide[len(self.vectors) :, self.size :] = np.eye(room)
+            wide[len(self.vectors) :, self.size :] = np.eye(wider)
             wide.setflags(write=False)
-            found[:] = [wide]
-            object.__setattr__(self, "vectors", wide[: len(self.vectors), : self.size])  # the others are not kept too
-        return found[0]
+            room.wide = wide
+            for one in room.shared:  # the vectors are not kept a second time
+                object.__setattr__(one, "vectors", wide[: len(one.vectors), : one.size])
+        return room.wide
+
+    def _share(self, room: _Room) -> None:
+        object.__setattr__(self, "_room", room)
+        room.shared.add(self)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {name: value for name, value in self.__dict__.items() if name != "_room"} | {"_room": []}
+        return {name: value for name, value in self.__dict__.items() if name != "_room"}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._share(_Room())
 
     def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
         """The basis of an extended model, which lists the degrees of freedom and parameters of the base model first.
@@ -174,7 +193,7 @@ class Basis:
             count=self.count + more,
         )
         if not more:
-            object.__setattr__(out, "_room", self._room)
+            out._share(self._room)
         return out
 
     # -- files ---------------------------------------------------------------------------------------------------------

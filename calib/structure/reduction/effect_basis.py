@@ -109,7 +109,7 @@ def covering_fits(reduced: ReducedModel, fits: Iterable[tuple[Sequence[Effect], 
     for effects, values in fits:
         wider = extend(model, effects) if effects else model
         carried = inner.basis.carried(wider.space, wider.n_dof) if effects else inner.basis
-        known = ReducedModel(wider, carried, inner, growth.factor if wider.n_dof == model.n_dof else None)
+        known = ReducedModel(wider, carried, inner, growth.factor)
         with contextlib.suppress(EvaluationError):
             modes = known.modes(values, known.n_modes)
             counts = (modes.natural_freq <= basis.freq_max) & (modes.damping_ratio < basis.damping_max)

@@ -20,7 +20,7 @@ from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
 from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.derivatives import Analytic
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.inertia import solved_by_parts, symmetric_factor
 from calib.structure.eigenproblem.solve_dense import solve_dense
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.geometry import Mesh
@@ -47,7 +47,7 @@ class ReducedModel(Analytic):
     inner : ReducedModel, optional
         The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
     factor : SuperLU, optional
-        Of `reference_matrix` at the reference values of the basis, where it is known.
+        Of `reference_matrix` of the base model at the reference values of the basis, where it is known.
 
     Raises
     ------
@@ -246,7 +246,7 @@ class ReducedModel(Analytic):
             for term in self.model.stiffness.selected
         )
         inner = None if self.inner is None else self.inner._cluster_energy[name]
-        return ClusterEnergy(self.basis.vectors, members, self.model.stiffness.terms, supports, inner)
+        return ClusterEnergy(self.basis, members, self.model.stiffness.terms, supports, inner)
 
     # -- rotations, needed only for zero eigenvalues -------------------------------------------------------------------
 
@@ -317,20 +317,19 @@ class ReducedModel(Analytic):
         With the offset of the basis where there are rigid-body motions; complex forces give complex motions. Degrees of
         freedom that effects add are apart there, where every magnitude is 0: the factor of the base model serves all.
         """
-        if self.inner is not None and self.factor is None:
-            own = self.inner.model.n_dof
-            parts = [self.inner.static_response(forces[:own])]
-            if self.model.n_dof > own:
-                parts.append(la.solve(self._stiffness_of_added, forces[own:], assume_a="sym"))
-            return np.concatenate(parts)
-        if not np.iscomplexobj(forces):
-            return np.asarray(self._reference_factor.solve(forces))
-        both = self._reference_factor.solve(np.hstack([forces.real, forces.imag]))
-        return np.asarray(both[:, : forces.shape[1]] + 1j * both[:, forces.shape[1] :])
+        own = self.model.n_dof if self.inner is None else self.inner.model.n_dof
+        parts = [solved_by_parts(self._reference_factor, forces[:own])]
+        if self.model.n_dof > own:
+            parts.append(la.solve(self._stiffness_of_added, forces[own:], assume_a="sym"))
+        return np.concatenate(parts)
 
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
-        return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+        if self.factor is not None:
+            return self.factor
+        if self.inner is not None:
+            return self.inner._reference_factor
+        return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
 
     @cached_property
     def _stiffness_of_added(self) -> np.ndarray:

@@ -10,6 +10,7 @@ import numpy as np
 import scipy.sparse as sp
 
 from calib.structure.affine import AffineMatrix, Term
+from calib.structure.reduction.basis import Basis
 
 
 @dataclass(frozen=True, eq=False)
@@ -220,8 +221,7 @@ class ClusterEnergy:
 
     Attributes
     ----------
-    vectors : ndarray (n_dof, size)
-        Of the basis.
+    basis : Basis
     members : ndarray (n_members,), int
         Degrees of freedom of the cluster.
     terms : tuple of Term
@@ -232,7 +232,7 @@ class ClusterEnergy:
         Of the model that this one extends; its blocks are shared.
     """
 
-    vectors: np.ndarray
+    basis: Basis
     members: np.ndarray
     terms: tuple[Term, ...]
     supports: tuple[Mapping[tuple[int, ...], np.ndarray], ...]
@@ -241,7 +241,7 @@ class ClusterEnergy:
 
     def matrix(self, factors: Sequence[float]) -> np.ndarray:
         """Symmetric part of ``V_c^T K_c V``."""
-        out = np.zeros((self.vectors.shape[1],) * 2)
+        out = np.zeros((self.basis.size,) * 2)
         for q, factor in enumerate(factors):
             block = self.block(q) if factor else None
             if block is not None:
@@ -257,6 +257,7 @@ class ClusterEnergy:
             return self.inner.block(q)
         if q not in self._blocks:
             rows = sp.csr_array(self.terms[q].matrix)[self.members]
-            part = self.vectors[self.members].T @ (rows @ self.vectors[: rows.shape[1]]) if rows.nnz else None
+            vectors = self.basis.vectors
+            part = vectors[self.members].T @ (rows @ vectors[: rows.shape[1]]) if rows.nnz else None
             self._blocks[q] = None if part is None else 0.5 * (part + part.T)
         return self._blocks[q]

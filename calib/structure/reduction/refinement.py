@@ -8,12 +8,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.derivatives import eigenvalues
 from calib.structure.eigenproblem.eigenvalues import is_zero
-from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
+from calib.structure.eigenproblem.inertia import count_below, solved_by_parts, symmetric_factor
 from calib.structure.eigenproblem.solve import rotational_share_of
 from calib.structure.eigenproblem.solve_dense import solve_dense
 from calib.structure.modes import Modes
@@ -138,7 +137,7 @@ def refined_modes(
     space.add(np.hstack([reduced.lift(_rigid(reduced, values)), real_columns(modes.shapes)]))
     error, waiting = np.full(count, np.inf), np.arange(count)
     for _ in range(STEPS):
-        correction = _both_parts(factor, rest[:, waiting])
+        correction = solved_by_parts(factor, rest[:, waiting])
         error[waiting] = np.abs(np.einsum("ij,ij->j", rest[:, waiting].conj(), correction)) / _size(modes)[waiting]
         space.add(real_columns(correction))
         basis = space.basis
@@ -241,11 +240,3 @@ def _residual(modes: Modes, stiffness: sp.csc_array, damping: sp.csc_array, mass
     if not modes.is_complex:
         return np.asarray(stiffness @ shapes - (2 * np.pi * modes.natural_freq) ** 2 * (mass @ shapes))
     return np.asarray(lam**2 * (mass @ shapes) + lam * (damping @ shapes) + stiffness @ shapes)
-
-
-def _both_parts(factor: spla.SuperLU, columns: np.ndarray) -> np.ndarray:
-    """Solutions for real or complex columns with a real factor."""
-    if not np.iscomplexobj(columns):
-        return np.asarray(factor.solve(columns))
-    both = factor.solve(np.hstack([columns.real, columns.imag]))
-    return np.asarray(both[:, : columns.shape[1]] + 1j * both[:, columns.shape[1] :])
