@@ -8,8 +8,12 @@ import pytest
 
 import calib
 from calib.correlation.modal.residual import ModalResidual
-from calib.correlation.modal.subspaces import close_groups, subspace_mac
+from calib.correlation.modal.subspaces import close_groups, equal_at_nominal, subspace_mac
 from calib.measurement.modal import Sensor
+from calib.structure.affine import parameter
+from calib.structure.effects.attach import outer_term
+from calib.structure.effects.extend import Addition, extend
+from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
 N, LENGTH = 12, 2.0
@@ -157,6 +161,22 @@ def test_one_measured_mode_of_a_pair_is_compared_with_the_subspace_too():
     test = calib.ModalTest(measured((40, 130)), mode_count=8, held_out=["1b", "2b"])
     found = ModalResidual(calib.Problem(beam(), test).study().studies[0].problem).solve(ONE)
     assert found.measured.names == ("1a", "2a") and found.pairing.mac.min() > 0.995
+
+
+@pytest.mark.parametrize("angles", [(30, 120), (0, 90)])
+def test_a_model_with_an_effect_has_the_equal_modes_of_the_base_model(angles, monkeypatch):
+    """Where effects are absent it is the base model, which need not be solved once more with them."""
+    problem = residual(measured(angles)).problem
+    lump = calib.Effect(
+        "lump", "", "", "", calib.Parameter("lump", 0.0, 0.0, 2.0, "kg", prior_sd=0.5),
+        lambda m: Addition(mass=(outer_term("lump", [np.eye(m.n_dof)[4]], parameter("lump")),)),
+    )  # fmt: skip
+    wider = problem.with_model(extend(problem.model, [lump]), 0)
+    solved = list[object]()
+    own = StructuralModel.modes
+    monkeypatch.setattr(StructuralModel, "modes", lambda self, *given: (solved.append(self), own(self, *given))[1])
+    assert wider.has_equal_modes is True and all(one is problem.model for one in solved)
+    assert equal_at_nominal(wider) is True
 
 
 def test_groups_are_as_wide_as_the_measurement_is_unsure():

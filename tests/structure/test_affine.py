@@ -174,3 +174,19 @@ def test_powers_on_intervals_join_to_one_function():
         assert sum(c * t({"x": x}) for c, t in terms) == pytest.approx(abs(x) ** 3)
         assert sum(c * t.derivative({"x": x}, "x") for c, t in terms) == pytest.approx(3 * x * abs(x))
     assert terms[0][1].derivative({"x": 0.3}, "y") == 0.0 and terms[0][1].names == {"x"}
+
+
+def test_indices_of_terms_take_as_little_memory_as_solvers_need():
+    where = np.arange(N, dtype=np.int64)
+    wide = sp.csr_array(sp.coo_array((np.ones(N), (where, where)), shape=(N, N)))
+    wide.indices, wide.indptr = wide.indices.astype(np.int64), wide.indptr.astype(np.int64)
+    term = Term("t", wide)
+    assert term.matrix.indices.dtype == term.matrix.indptr.dtype == np.int32
+    assert term.matrix.data is wide.data and wide.indices.dtype == np.int64
+    assert Term("u", term.matrix).matrix is term.matrix
+    one, other = AffineMatrix(N, (term,)), AffineMatrix(N, (Term("t", sp.csr_array(np.eye(N))),))
+    assert one.digest() == other.digest()
+    far = wide.copy()
+    far.indices[3] = 2**32  # of 32 bits it would be 0
+    with pytest.raises(InputError, match=str(2**32)):
+        AffineMatrix(N, (Term("t", far),))

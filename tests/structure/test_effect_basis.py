@@ -12,7 +12,7 @@ from calib.structure.effects.attach import hung_masses, outer_term
 from calib.structure.effects.extend import Addition, extend
 from calib.structure.effects.perturbations import perturbations
 from calib.structure.eigenproblem.derivatives import mode_derivatives
-from calib.structure.reduction.effect_basis import effect_basis
+from calib.structure.reduction.effect_basis import covering_fits, effect_basis
 from calib.structure.reduction.growth import Growth
 from calib.structure.reduction.reduced import ReducedModel, reference_factor, reference_matrix
 from calib.structure.reduction.training import train_basis
@@ -137,6 +137,14 @@ def test_the_factor_of_the_base_model_serves_models_with_effects(made):
     whole = reference_factor(wider.model, wider.basis.reference_values, wider.basis.offset)
     expected = whole.solve(forces.real) + 1j * whole.solve(forces.imag)
     np.testing.assert_allclose(wider.static_response(forces), expected, rtol=1e-8, atol=1e-12)
+
+
+def test_looking_whether_fits_are_covered_keeps_no_factor(made):
+    model, trained, _, _ = made
+    reduced = ReducedModel(model, trained)
+    fits = [((), POINT), ((spring(),), {**POINT, "spring": 6e3}), ((hung(),), {**POINT, "hung": 2.0, "hung_freq": 0.7})]
+    grown = covering_fits(reduced, fits)
+    assert grown.size > trained.size and "_reference_factor" not in vars(reduced)
 
 
 def test_matrices_with_effects_need_no_pattern_of_their_own(made):

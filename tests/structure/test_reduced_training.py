@@ -212,7 +212,7 @@ def test_a_file_gives_back_the_same_basis(trained, tmp_path):
     assert {f.name for f in tmp_path.iterdir()} == {"basis.npz", LOG}
     again = Basis.load(tmp_path / "basis.npz")
     assert again.digest == basis.digest and np.array_equal(again.vectors, basis.vectors)
-    for field in dataclasses.fields(Basis):
+    for field in (one for one in dataclasses.fields(Basis) if one.init):
         np.testing.assert_array_equal(getattr(again, field.name), getattr(basis, field.name))
     assert ReducedModel(model, again).fingerprint == ReducedModel(model, basis).fingerprint
 

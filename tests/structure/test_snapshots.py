@@ -1,5 +1,8 @@
 """What a basis lacks of snapshots, and vectors that bases share."""
 
+import dataclasses
+import pickle
+
 import numpy as np
 import pytest
 
@@ -65,3 +68,15 @@ def test_a_carried_basis_has_a_vector_for_each_added_degree_of_freedom_and_share
     )
     assert np.shares_memory(carried.vectors, again.vectors) and not carried.vectors.flags.writeable
     assert basis.carried(model.space, N).vectors is basis.vectors
+
+
+@pytest.mark.parametrize("sent", [False, True])
+def test_every_basis_of_the_same_vectors_has_them_in_one_array(trained, sent):
+    """Also those made before the first degree of freedom was added, and of a basis that another process has read."""
+    model, own = trained
+    basis = pickle.loads(pickle.dumps(own)) if sent else dataclasses.replace(own)
+    same = basis.carried(model.space, N)
+    wider = extend(model, [hung("unit", 2)])
+    carried = same.carried(wider.space, wider.n_dof)
+    assert all(one.vectors.base is carried.vectors.base for one in (basis, same))
+    np.testing.assert_array_equal(basis.vectors, own.vectors)
