@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
 
 from calib.errors.errors import EvaluationError
+from calib.execution.tasks import each
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.eigenproblem.damped_problem import real_times
@@ -178,26 +179,9 @@ class LocalDerivatives:
 
         ``right`` are the forces of every perturbation on the space, (n, n_modes).
         """
-        size, (stiffness, damping, mass), (inertia, dissipation) = space.size, space.small, space.along
-        motions = np.zeros((len(self._modes), size, len(right)), dtype=complex)
-        borders = []
-        for k, mode in enumerate(self._modes):
-            lam = self._lam[mode]
-            near = np.flatnonzero(np.abs(self._lam - lam) <= NEIGHBOUR * abs(lam))
-            border = inertia[:, near] * (lam + self._lam[near]) + dissipation[:, near]
-            scale = float(np.abs(border).max(initial=0.0)) or 1.0
-            whole = np.zeros((size + len(near),) * 2, dtype=complex)
-            whole[:size, :size] = stiffness + lam * damping + lam**2 * mass
-            whole[:size, size:], whole[size:, :size] = border / scale, border.T / scale
-            given = np.zeros((len(whole), len(right)), dtype=complex)
-            given[:size] = -np.column_stack([one[:, k] for one in right])
-            try:
-                both = np.linalg.solve(whole, given)
-            except np.linalg.LinAlgError as fault:
-                raise EvaluationError(f"derivatives of mode {k + 1} cannot be solved ({fault})") from fault
-            motions[k] = both[:size]
-            borders.append((near, both[size:] / scale))
-        return _Solved(motions, borders)
+        equations = _Equations(space.small, space.along, self._lam, self._modes, np.stack(right, axis=2))
+        found = each(_of_mode, equations, range(len(self._modes)))
+        return _Solved(np.stack([one.motions for one in found]), [(one.near, one.factors) for one in found])
 
     def _lacking(
         self, space: _Space, solved: _Solved, forces: Sequence[_Forces], which: np.ndarray, rng: np.random.Generator
@@ -221,6 +205,58 @@ class LocalDerivatives:
         for p, one in enumerate(forces):
             out[one.rows, p] += (one.values @ phases[:, p]).real
         return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Equations:
+    """Equations on a space of derivatives of modes.
+
+    Attributes
+    ----------
+    matrices : sequence of ndarray (n, n)
+        K, C and M on the space.
+    along : sequence of ndarray (n, n_every)
+        ``M psi`` and ``C psi`` of every mode on the space.
+    lam : ndarray (n_every,), complex
+        Eigenvalues.
+    modes : ndarray (n_modes,), int
+        Which of them have derivatives.
+    right : ndarray (n, n_modes, n_perturbations)
+        Forces.
+    """
+
+    matrices: Sequence[np.ndarray]
+    along: Sequence[np.ndarray]
+    lam: np.ndarray
+    modes: np.ndarray
+    right: np.ndarray
+
+
+class _OfMode(NamedTuple):
+    """Derivatives of one mode by every perturbation, (n, n_perturbations), its close modes, and what holds these."""
+
+    motions: np.ndarray
+    near: np.ndarray
+    factors: np.ndarray
+
+
+def _of_mode(equations: _Equations, k: int) -> _OfMode:
+    """Solution for one of the modes."""
+    (stiffness, damping, mass), (inertia, dissipation) = equations.matrices, equations.along
+    size, every, lam = len(stiffness), equations.lam, equations.lam[equations.modes[k]]
+    near = np.flatnonzero(np.abs(every - lam) <= NEIGHBOUR * abs(lam))
+    border = inertia[:, near] * (lam + every[near]) + dissipation[:, near]
+    scale = float(np.abs(border).max(initial=0.0)) or 1.0
+    whole = np.zeros((size + len(near),) * 2, dtype=complex)
+    whole[:size, :size] = stiffness + lam * damping + lam**2 * mass
+    whole[:size, size:], whole[size:, :size] = border / scale, border.T / scale
+    given = np.zeros((len(whole), equations.right.shape[2]), dtype=complex)
+    given[:size] = -equations.right[:, k]
+    try:
+        both = np.linalg.solve(whole, given)
+    except np.linalg.LinAlgError as fault:
+        raise EvaluationError(f"derivatives of mode {k + 1} cannot be solved ({fault})") from fault
+    return _OfMode(both[:size], near, both[size:] / scale)
 
 
 @dataclass(frozen=True, eq=False)
