@@ -141,6 +141,11 @@ class CaseFinder:
         return fit_problem(self.study, self.ledger)
 
     @cached_property
+    def _terms(self) -> ObjectiveTerms:
+        """Of all cases: a finer mesh is built once."""
+        return ObjectiveTerms.of(self.study)
+
+    @cached_property
     def known(self) -> tuple[dict[str, float], ...]:
         """Further starting points: linear ones, those of the study, the fit of the same model by an explanation."""
         linear = linear_starts(self.exact, self.study.search_space.values)
@@ -242,11 +247,11 @@ class CaseFinder:
     def statistics_at(self, values: Mapping[str, float], estimate: LinearEstimate | None = None) -> FitStatistics:
         """The fit statistics at given values, without a fit; of a linear ``estimate`` where they come from one."""
         near = near_of(self.study, self.reductions()) if self.study.held_sd else None
-        return statistics_at(self.exact, ObjectiveTerms.of(self.study), values, near, estimate)
+        return statistics_at(self.exact, self._terms, values, near, estimate)
 
     def mesh_doubt(self, found: FitStatistics) -> str:
         """See `calib.analyses.fit_statistics.mesh_doubt`; empty for a quick run."""
-        return "" if self.quick else mesh_doubt(self.exact, ObjectiveTerms.of(self.study), found)
+        return "" if self.quick else mesh_doubt(self.exact, self._terms, found)
 
     def _certifier(self, reductions: Mapping[str, Reduction]) -> Any:
         """Callback that checks every would-be best point of one test; several are checked where a case ended."""
@@ -329,7 +334,7 @@ class CaseFinder:
         reduced = on_basis() if reductions else None
         common = self._in_common(exact if reduced is None else reduced, refits, told) if shared else None
         return fitted_at_full_order(
-            exact, reduced, ObjectiveTerms.of(study), starts, refits, progress, self.known, common, told, enough,
+            exact, reduced, self._terms, starts, refits, progress, self.known, common, told, enough,
             lambda: near_of(study, grown), widened,
         )  # fmt: skip
 

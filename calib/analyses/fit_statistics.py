@@ -99,7 +99,7 @@ class ObjectiveTerms:
                 place=study.place("explain", "mesh_sd"),
                 remedy="name its model options in finer_options, or leave mesh_sd out",
             )
-        mesh = partial(mesh_changes, study) if known else None
+        mesh = partial(mesh_changes, study, built={}) if known else None
         return cls(stated.alpha, study.held_sd, in_one(study, assumed_words), stated.mesh_sd, mesh)
 
     def mesh_at(self, values: Mapping[str, float], rows: int) -> np.ndarray:

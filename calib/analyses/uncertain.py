@@ -44,11 +44,12 @@ def uncertain_note(study: LoadedStudy) -> tuple[str, ...]:
     return (f"Parameters that are not selected are uncertain by their priors: {', '.join(names)}{rest}.",)
 
 
-def mesh_changes(study: AnyStudy, values: Mapping[str, float]) -> np.ndarray:
+def mesh_changes(study: AnyStudy, values: Mapping[str, float], built: dict[str, Any] | None = None) -> np.ndarray:
     """Change of the whitened residual from the mesh of each model to its finer one, (n_rows, n_models).
 
     Both are solved at the named values. The tests of one model change together: their mesh is one. Rows of modes that
-    only one of both meshes pairs are 0.
+    only one of both meshes pairs are 0. ``built`` holds the residuals on the finer meshes, by name of the test, for
+    further values.
 
     Raises
     ------
@@ -56,13 +57,17 @@ def mesh_changes(study: AnyStudy, values: Mapping[str, float]) -> np.ndarray:
         Where a finer model has other parameters, or cannot be solved.
     """
     several, of_model, blocks = len(study.studies) > 1, dict[str, int](), []
+    known = {} if built is None else built
     for one in study.studies:
-        pair, finer = one.experiment.residual(one.problem), one.on_finer_mesh()
+        pair = one.experiment.residual(one.problem)
+        if one.test not in known:
+            finer = one.on_finer_mesh()
+            known[one.test] = None if finer is None else _on_finer(one, pair, finer)
         change, k = np.zeros(len(pair.rows)), None
-        if finer is not None:
+        if known[one.test] is not None:
             k = of_model.setdefault(one.model_key, len(of_model))
             own = own_values(one, values) if several else {n: v for n, v in values.items() if n in pair.space}
-            change = _mesh_change(one, pair, finer, pair.space.complete(own))
+            change = _mesh_change(one, pair, known[one.test], pair.space.complete(own))
         blocks.append((k, change))
     out = np.zeros((sum(len(change) for _, change in blocks), len(of_model)))
     begin = 0
@@ -73,18 +78,22 @@ def mesh_changes(study: AnyStudy, values: Mapping[str, float]) -> np.ndarray:
     return out
 
 
-def _mesh_change(study: LoadedStudy, pair: Any, finer: Any, values: Mapping[str, float]) -> np.ndarray:
-    place = study.place("explain", "finer_options")
+def _on_finer(study: LoadedStudy, pair: Any, finer: Any) -> Any:
+    """The residual on a finer mesh; InputError where that has other parameters."""
     if other := sorted(set(study.model.space.names) ^ set(finer.space.names)):
         raise InputError(
-            f"only one of model and finer model has the parameter {other[0]}", place=place,
-            remedy="change the size of the elements alone",
+            f"only one of model and finer model has the parameter {other[0]}",
+            place=study.place("explain", "finer_options"), remedy="change the size of the elements alone",
         )  # fmt: skip
-    refined = pair.with_model(finer)
+    return pair.with_model(finer)
+
+
+def _mesh_change(study: LoadedStudy, pair: Any, refined: Any, values: Mapping[str, float]) -> np.ndarray:
     try:
         here, there = pair.solve(values), refined.solve(values)
         change = np.asarray(refined.of(there) - pair.of(here))
     except EvaluationError as fault:
+        place = study.place("explain", "finer_options")
         raise InputError(f"the finer model cannot be solved ({fault})", place=place) from None
     lost = pair.unpaired(here) ^ refined.unpaired(there)
     return np.where([row.mode in lost for row in pair.rows], 0.0, change)

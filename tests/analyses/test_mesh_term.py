@@ -241,7 +241,7 @@ def test_the_fit_is_tested_with_the_error_of_the_mesh():
 
 
 @pytest.mark.medium
-def test_modes_of_a_coarse_mesh_likewise_from_a_folder_and_in_python(mast, edited, tmp_path):
+def test_modes_of_a_coarse_mesh_likewise_from_a_folder_and_in_python(mast, edited, tmp_path, monkeypatch):
     """The coarse mast is off by half of its standard deviations and more; both doors say the same."""
     own = f"model_options = {{ element_size = {COARSE} }}\n"
     folder = edited(mast.write_study(tmp_path / "mast"), "effects = ", f"{own}effects = ")
@@ -251,6 +251,15 @@ def test_modes_of_a_coarse_mesh_likewise_from_a_folder_and_in_python(mast, edite
     by_hand = study.experiment.residual(study.problem.with_model(mast.mast(FINER))).residual(study.problem.space.values)
     assert change[:, 0] == pytest.approx(by_hand - study.pair.residual(study.problem.space.values), abs=1e-6)
     assert np.abs(change).max() > 0.5
+    built, further = (
+        {},
+        {**study.model.space.values, study.search_space.free_names[0]: 1.01 * study.search_space.free[0].value},
+    )
+    assert mesh_changes(study, study.model.space.values, built).tobytes() == change.tobytes()
+    with monkeypatch.context() as patched:
+        patched.setattr(LoadedStudy, "on_finer_mesh", lambda self: pytest.fail("the finer mesh is built once more"))
+        again = mesh_changes(study, further, built)
+    assert again.tobytes() == mesh_changes(study, further).tobytes() != change.tobytes()
     found = calib.Study.load(folder, results=tmp_path / "r", progress=False).problem.calibrate(starts=1, progress=False)
     assert any("finer mesh would move" in words for words in found.sentences)
 
