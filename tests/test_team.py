@@ -189,6 +189,21 @@ def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken
         assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
 
 
+def test_files_of_a_call_that_could_not_be_written_are_deleted(two, module, monkeypatch):
+    folder = two._store.file("").parent
+    two(module.product, (np.ones((90, 90)), 0), range(40))
+    before = {path.name for path in folder.iterdir()}
+
+    def full(path, content):
+        raise OSError(28, "no space left")
+
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "write_bytes", full)
+        with pytest.raises(OSError, match="space"):
+            two._store.written((module.product, np.full((90, 90), 2.0)))
+    assert {path.name for path in folder.iterdir()} == before
+
+
 def test_parts_of_one_array_are_stored_once_whatever_their_strides(two, module, meeting):
     whole = np.random.default_rng(2).standard_normal((120, 110))
     parts = [whole[:100, :100], whole[5:105, 3:103], whole[::-1][:100, :100].T]

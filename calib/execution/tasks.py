@@ -56,7 +56,8 @@ def each(function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Tol
     function : callable
         Defined in a module, so that other processes can import it. It changes neither argument.
     shared : object
-        What all tasks need; sent once to each other process.
+        What all tasks need; sent once to each other process, where large arrays in it stay until the next call: nobody
+        changes them between calls.
     items : sequence
     told : callable
         Receives the number of finished tasks before each one that this process does.

@@ -353,19 +353,29 @@ class _Store:
         def place(array: np.ndarray) -> Path:
             known, path = arrays.get(id(array)) or self._kept.get(id(array)) or (None, None)
             if known is None or path is None or known() is not array:  # another one may have had its number
-                np.save(path := self.file(".npy"), array, allow_pickle=False)
+                files.add(path := self.file(".npy"))
+                np.save(path, array, allow_pickle=False)
                 known = weakref.ref(array)
             arrays[id(array)] = known, path
             files.add(path)
             return path
 
-        _Pickler(buffer, place).dump(content)
-        (whole := self.file(".pickle")).write_bytes(buffer.getbuffer())
-        for path in self._files - files:
-            with contextlib.suppress(OSError):
-                path.unlink()
-        self._kept, self._files = arrays, {*files, whole}
+        files.add(whole := self.file(".pickle"))
+        try:
+            _Pickler(buffer, place).dump(content)
+            whole.write_bytes(buffer.getbuffer())
+        except BaseException:  # a full disk must not stay full
+            _deleted(files - self._files)
+            raise
+        before, self._kept, self._files = self._files, arrays, files
+        _deleted(before - files)
         return whole
+
+
+def _deleted(files: set[Path]) -> None:
+    for path in files:
+        with contextlib.suppress(OSError):
+            path.unlink()
 
 
 class _Stored(NamedTuple):

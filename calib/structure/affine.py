@@ -339,7 +339,7 @@ class AffineMatrix:
         for array in (self._pattern.form.indptr, self._pattern.form.indices):
             out.update(np.ascontiguousarray(array).tobytes())
         for array in (stack.indptr, stack.indices):  # as 64 bits, whatever they take in memory
-            out.update(np.ascontiguousarray(array, dtype=np.int64).tobytes())
+            out.update(np.ascontiguousarray(array, dtype=np.int64 if self.terms else np.int32).tobytes())
         out.update(np.ascontiguousarray(stack.data).tobytes())
         for term in self.selected:
             out.update(repr((term.name, term.coefficient, term.selectors, sorted(term.vectors))).encode())

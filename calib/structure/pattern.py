@@ -51,7 +51,8 @@ def padded(matrix: sp.csr_array, size: int) -> sp.csr_array:
 def narrow(matrix: Any) -> Any:
     """A compressed matrix with indices of 32 bits, as solvers take them; itself where it has these, or needs more.
 
-    SciPy keeps the 64 bits of coordinates, with which indices take as much memory as entries.
+    SciPy keeps the 64 bits of coordinates, with which indices take as much memory as entries. The entries are copied:
+    operations of SciPy sort and drop them in place, together with the indices of one matrix.
     """
     if getattr(matrix, "format", "") not in ("csr", "csc") or matrix.indices.dtype == np.int32 == matrix.indptr.dtype:
         return matrix
@@ -59,7 +60,7 @@ def narrow(matrix: Any) -> Any:
     if any(part.dtype.kind not in "iu" or (part.size and not 0 <= part.min() <= part.max() < 2**31) for part in parts):
         return matrix
     out = copy.copy(matrix)
-    out.indices, out.indptr = (part.astype(np.int32) for part in parts)
+    out.data, out.indices, out.indptr = matrix.data.copy(), *(part.astype(np.int32) for part in parts)
     return out
 
 

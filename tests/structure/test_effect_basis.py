@@ -40,6 +40,13 @@ def hung():
     return Effect("hung", "", "", "", Parameter("hung", 0.0, 0.0, 30.0, "kg", prior_sd=3.0), build, (freq,), grid)
 
 
+def tuned():
+    freq = Parameter("tuned_freq", 2.0, 0.2, 5.0, "Hz")
+    build = lambda m: hung_masses([np.eye(m.n_dof)[50]], "tuned", "tuned_freq", 0.02)  # noqa: E731
+    grid = ({"tuned": 1.0, "tuned_freq": 2.0},)
+    return Effect("tuned", "", "", "", Parameter("tuned", 0.0, 0.0, 30.0, "kg", prior_sd=3.0), build, (freq,), grid)
+
+
 def heavy():
     build = lambda m: Addition(mass=(outer_term("heavy", [unit(75)], parameter("heavy")),))  # noqa: E731
     return Effect("heavy", "", "", "", Parameter("heavy", 0.0, -2.0, 40.0, "kg", prior_sd=5.0), build)
@@ -132,11 +139,12 @@ def test_degrees_of_freedom_of_effects_are_basis_vectors(made):
 def test_the_factor_of_the_base_model_serves_models_with_effects(made):
     """Where every magnitude is 0, what effects add is apart: static responses are those of the whole model's factor."""
     model, trained, _, _ = made
-    wider = ReducedModel(model, trained).extended([spring(), hung()])
-    forces = np.random.default_rng(4).standard_normal((wider.model.n_dof, 3)) * (1 + 2j)
-    whole = reference_factor(wider.model, wider.basis.reference_values, wider.basis.offset)
-    expected = whole.solve(forces.real) + 1j * whole.solve(forces.imag)
-    np.testing.assert_allclose(wider.static_response(forces), expected, rtol=1e-8, atol=1e-12)
+    once = ReducedModel(model, trained).extended([spring(), hung()])
+    for wider in (once, once.extended([tuned()])):
+        forces = np.random.default_rng(4).standard_normal((wider.model.n_dof, 3)) * (1 + 2j)
+        whole = reference_factor(wider.model, wider.basis.reference_values, wider.basis.offset)
+        expected = whole.solve(forces.real) + 1j * whole.solve(forces.imag)
+        np.testing.assert_allclose(wider.static_response(forces), expected, rtol=1e-8, atol=1e-12)
 
 
 def test_looking_whether_fits_are_covered_keeps_no_factor(made):

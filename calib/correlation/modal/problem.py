@@ -337,11 +337,19 @@ class ModalProblem:
 
     @cached_property
     def has_equal_modes(self) -> bool:
-        """See `calib.correlation.modal.subspaces.equal_at_nominal`; effects, which are not there, change nothing."""
+        """See `calib.correlation.modal.subspaces.equal_at_nominal`.
+
+        A large model with effects that are absent at its nominal values is not solved there: it is the `base`.
+        """
         base = self.base
-        if base is not None and base.measured.names == self.measured.names:
-            return base.has_equal_modes
-        return equal_at_nominal(self)
+        return base.has_equal_modes if base is not None and self._is_nominally(base) else equal_at_nominal(self)
+
+    def _is_nominally(self, base: ModalProblem) -> bool:
+        """Whether it compares the same as another problem at its nominal values, but for added effects."""
+        given = ("freq_window", "override", "threshold", "mode_clusters")
+        alike = base.measured is self.measured and all(getattr(base, one) == getattr(self, one) for one in given)
+        here, there = self.space.values, base.space.values
+        return alike and self.reducible is not None and all(here.get(name) == there[name] for name in there)
 
     @cached_property
     def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import weakref
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -29,9 +29,9 @@ _ROOM = 16
 class _Room:
     """The vectors of bases that have the same ones, with room for degrees of freedom of effects."""
 
-    def __init__(self) -> None:
+    def __init__(self, first: Basis) -> None:
         self.wide: np.ndarray | None = None
-        self.shared: weakref.WeakSet[Basis] = weakref.WeakSet()
+        self.shared = weakref.WeakSet([first])
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,10 +88,8 @@ class Basis:
     version: int = 1
     request: str = ""
     key: str = ""
-    _room: _Room = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
-        self._share(_Room())
         for name in _ARRAYS:
             array = np.asarray(getattr(self, name), dtype=float)
             if array.flags.writeable:  # what another basis holds is shared, not copied: it may be hundreds of megabytes
@@ -149,13 +147,17 @@ class Basis:
             wide[: len(self.vectors), : self.size] = self.vectors
             wide[len(self.vectors) :, self.size :] = np.eye(wider)
             wide.setflags(write=False)
-            room.wide = wide
-            for one in room.shared:  # the vectors are not kept a second time
-                object.__setattr__(one, "vectors", wide[: len(one.vectors), : one.size])
+            room.wide, own = wide, wide[: len(self.vectors), : self.size]
+            for one in list(room.shared):  # the vectors are not kept a second time
+                object.__setattr__(one, "vectors", own)
         return room.wide
 
+    @cached_property
+    def _room(self) -> _Room:
+        return _Room(self)
+
     def _share(self, room: _Room) -> None:
-        object.__setattr__(self, "_room", room)
+        self.__dict__["_room"] = room
         room.shared.add(self)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -163,7 +165,8 @@ class Basis:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._share(_Room())
+        for name in _ARRAYS:
+            state[name].setflags(write=False)
 
     def carried(self, space: ParameterSpace, n_dof: int) -> Basis:
         """The basis of an extended model, which lists the degrees of freedom and parameters of the base model first.

@@ -47,7 +47,7 @@ class ReducedModel(Analytic):
     inner : ReducedModel, optional
         The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
     factor : SuperLU, optional
-        Of `reference_matrix` of the base model at the reference values of the basis, where it is known.
+        Of `reference_matrix` at the reference values of the basis, where it is known; of ``inner`` where that is given.
 
     Raises
     ------
@@ -318,18 +318,17 @@ class ReducedModel(Analytic):
         freedom that effects add are apart there, where every magnitude is 0: the factor of the base model serves all.
         """
         own = self.model.n_dof if self.inner is None else self.inner.model.n_dof
-        parts = [solved_by_parts(self._reference_factor, forces[:own])]
+        if self.inner is not None and self.factor is None:
+            parts = [self.inner.static_response(forces[:own])]
+        else:
+            parts = [solved_by_parts(self._reference_factor, forces[:own])]
         if self.model.n_dof > own:
             parts.append(la.solve(self._stiffness_of_added, forces[own:], assume_a="sym"))
         return np.concatenate(parts)
 
     @cached_property
     def _reference_factor(self) -> spla.SuperLU:
-        if self.factor is not None:
-            return self.factor
-        if self.inner is not None:
-            return self.inner._reference_factor
-        return reference_factor(self.model, self.basis.reference_values, self.basis.offset)
+        return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
 
     @cached_property
     def _stiffness_of_added(self) -> np.ndarray:
