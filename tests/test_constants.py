@@ -154,7 +154,7 @@ SPEED = {  # memory, time, processes; results are the same
     "execution/cluster.py": "WORTHWHILE _TASK _AHEAD _FIRST _LOOK _CONNECT _PATIENCE",
     "execution/cluster_tasks.py": "LONG",
     "execution/cluster_worker.py": "_KEPT",
-    "execution/interrupt.py": "CODE PATIENCE LOOK TURN SLOW",
+    "execution/interrupt.py": "CODE PATIENCE LOOK SEEN TURN SLOW",
     "missing/nearest_integers.py": "_ALL_AT_ONCE",
     "missing/suspect.py": "_AT_ONCE",
     "correlation/modal/sensors.py": "_NEAR _BLOCK",

@@ -2,6 +2,7 @@
 
 import contextlib
 import os
+import queue
 import signal
 import subprocess
 import sys
@@ -202,3 +203,18 @@ def test_an_interrupt_that_compiled_code_turned_into_another_error_ends_as_one(h
 def test_an_interrupt_waits_for_what_must_not_be_left_half_done():
     work = ("with interrupt.held():", "    hand(2)", "    say('whole')", "say('nobody noticed')")
     assert child(NEVER, "say('in order')", work=work) == (0, "whole\nleaving\nin order\n", "")
+
+
+def test_a_wait_for_a_result_ends_now_and_then_so_that_python_sees_an_interrupt():
+    """Between its last look and the wait itself a signal wakes nobody: it would be seen with the next result."""
+    waited = []
+
+    class Late(queue.SimpleQueue):
+        def get(self, block=True, timeout=None):
+            waited.append(timeout)
+            if len(waited) < 3:
+                raise queue.Empty
+            return "done"
+
+    assert interrupt.next_of(Late()) == "done"
+    assert waited == [interrupt.SEEN] * 3 and 0 < interrupt.SEEN <= 1

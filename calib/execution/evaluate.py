@@ -233,9 +233,9 @@ class Evaluator:
                 known(k, self._alone(points[k], ignored))
         return seen
 
-    def _patience(self) -> float | None:
-        """Seconds between two checks for late tasks."""
-        return None if self.time_limit is None else min(1.0, self.time_limit / 4)
+    def _patience(self) -> float:
+        """Seconds between two checks for late tasks, and of an interrupt."""
+        return interrupt.SEEN if self.time_limit is None else min(interrupt.SEEN, self.time_limit / 4)
 
     def _late(self) -> dict[int, float]:
         return {} if self._board is None or self.time_limit is None else self._board.late(self.time_limit)

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeAlias, Union
 
 from calib.errors.errors import InputError
-from calib.execution import worker
+from calib.execution import interrupt, worker
 from calib.execution.evaluate import Arrived, failed, ignored, unwrapped
 from calib.execution.outcome import TOOK_TOO_LONG, WORKER_DIED, Outcome, directory_kept, error_line
 from calib.execution.stage import Tell, warned
@@ -255,7 +255,7 @@ class ExecutorEvaluator:
                     future.add_done_callback(ended.put)
                 for _ in range(len(numbers)):
                     # A queue, unlike `wait`, may be interrupted anywhere; see `Evaluator._finished`.
-                    k = numbers[future := ended.get()]
+                    k = numbers[future := interrupt.next_of(ended)]
                     try:
                         answer = future.result()
                     except Exception as fault:  # whatever ended the task, of the executor's own classes too

@@ -11,6 +11,7 @@ import contextlib
 import multiprocessing
 import os
 import pickle
+import queue
 import signal
 import sys
 import threading
@@ -19,6 +20,9 @@ from collections.abc import Iterator
 from functools import partial
 from multiprocessing.reduction import ForkingPickler
 from types import FrameType
+from typing import TypeVar
+
+T = TypeVar("T")
 
 CODE = 130
 """Exit code of an interrupted command, as in shells."""
@@ -34,6 +38,8 @@ SLOW = 12
 """Times as long as `PATIENCE` that a process may take to end of which nothing is left running."""
 LOOK = 0.1
 """Seconds between two checks of whether the raised interrupt is still being handled."""
+SEEN = 1.0
+"""Longest wait, in seconds: Python sees an interrupt that comes just before one only at its end."""
 
 
 class _Press:
@@ -183,6 +189,13 @@ class Following:
 
     def __reduce__(self) -> tuple[partial[Following], tuple[()]]:
         return partial(Following, content=bytes(ForkingPickler.dumps(self._call))), ()
+
+
+def next_of(ended: queue.SimpleQueue[T]) -> T:
+    """The next item of a queue, however long that takes; an interrupt is seen within `SEEN`."""
+    while True:
+        with contextlib.suppress(queue.Empty):
+            return ended.get(timeout=SEEN)
 
 
 def obey_parent(task: Following) -> None:

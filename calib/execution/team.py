@@ -197,7 +197,7 @@ class Team:
                     found[k] = self._one(function, shared, item)
                 while elsewhere - found.keys() - lost:
                     # A queue, unlike `wait`, may be interrupted anywhere; see `calib.execution.evaluate`.
-                    arrived(ended.get())
+                    arrived(interrupt.next_of(ended))
                 for k in sorted(lost - found.keys()):
                     found[k] = function(shared, items[k])
         except BaseException:  # KeyboardInterrupt too
