@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import multiprocessing
-import pickle
 import queue
 import time
-import weakref
 from collections.abc import Callable, Sequence
 from concurrent.futures import BrokenExecutor, Future, ProcessPoolExecutor
 from multiprocessing.context import SpawnContext
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any
 
-import numpy as np
 from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
+from calib.execution.shared_store import SharedStore, read
 from calib.execution.tasks import I, R, S, Told, one_thread, unreported
-from calib.execution.temporary import TemporaryFolder
 
 _MOST = 1024
 """Tasks of one call; more are done in several."""
@@ -29,10 +25,6 @@ _WORTH = 0.3
 """Expected seconds of a call's tasks below which this process does them alone: sending takes about a tenth of it."""
 _TO_START = 2.0
 """Seconds that the others take to start."""
-_LARGE = 1 << 15
-"""Bytes from which an array has a file of its own, which other processes map into their memory."""
-_SPARE = 2
-"""An array that a part is of is stored for it where it is not this many times as large."""
 
 
 class Team:
@@ -67,7 +59,7 @@ class Team:
         self._calls = 0
         self._board: _Board | None = None
         self._pool: ProcessPoolExecutor | None = None
-        self._store: _Store | None = None
+        self._store: SharedStore | None = None
         self._able = workers > 1
         self._unsent: set[object] = set()
         self._within = False
@@ -150,7 +142,7 @@ class Team:
         """File of what a call shares; None where it cannot be sent, which is not tried again for its function."""
         try:
             if self._store is None:
-                self._store = _Store()
+                self._store = SharedStore()
             return self._store.written(content)
         except Exception:  # a class may raise anything from its own `__reduce__` or `__getstate__`
             self._unsent.add(content[0])
@@ -311,7 +303,7 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
     begun = False
     try:
         if _Helper.path != path:
-            _Helper.content = _read(path)
+            _Helper.content = read(path)
             _Helper.path = path
             _Helper.limits = threadpool_limits(1)  # of libraries loaded meanwhile
         if not _Helper.board.is_first(call, number):
@@ -321,109 +313,3 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
         return _Done(function(shared, items[number]))
     except BaseException:  # the first process does it again, and fails as it does alone
         return _Lost(begun)
-
-
-# -- what a call shares ------------------------------------------------------------------------------------------------
-
-
-class _Store:
-    """Temporary folder of what a call shares; large arrays that the next call shares too are written once.
-
-    It keeps none of them in memory: a large model would stay there after its call.
-    """
-
-    def __init__(self) -> None:
-        self._folder = TemporaryFolder()
-        self._kept: dict[int, tuple[weakref.ref[np.ndarray], Path]] = {}
-        self._files: set[Path] = set()
-        self._number = 0
-
-    def close(self) -> None:
-        self._kept, self._files = {}, set()
-        self._folder.close()
-
-    def file(self, suffix: str) -> Path:
-        self._number += 1
-        return self._folder.path / f"{self._number}{suffix}"
-
-    def written(self, content: object) -> Path:
-        """File of a content, without its large arrays; files of the call before that are not needed are deleted."""
-        buffer, arrays, files = io.BytesIO(), dict[int, tuple[weakref.ref[np.ndarray], Path]](), set[Path]()
-
-        def place(array: np.ndarray) -> Path:
-            known, path = arrays.get(id(array)) or self._kept.get(id(array)) or (None, None)
-            if known is None or path is None or known() is not array:  # another one may have had its number
-                files.add(path := self.file(".npy"))
-                np.save(path, array, allow_pickle=False)
-                known = weakref.ref(array)
-            arrays[id(array)] = known, path
-            files.add(path)
-            return path
-
-        files.add(whole := self.file(".pickle"))
-        try:
-            _Pickler(buffer, place).dump(content)
-            whole.write_bytes(buffer.getbuffer())
-        except BaseException:  # a full disk must not stay full
-            _deleted(files - self._files)
-            raise
-        before, self._kept, self._files = self._files, arrays, files
-        _deleted(before - files)
-        return whole
-
-
-def _deleted(files: set[Path]) -> None:
-    for path in files:
-        with contextlib.suppress(OSError):
-            path.unlink()
-
-
-class _Stored(NamedTuple):
-    """Where a large array is: in a file of its own, or as a part of another one, by shape, first byte and strides."""
-
-    path: Path
-    part: tuple[tuple[int, ...], int, tuple[int, ...]] | None = None
-
-
-class _Pickler(pickle.Pickler):
-    """Pickles an object with paths in place of its large arrays."""
-
-    def __init__(self, file: io.BytesIO, place: Callable[[np.ndarray], Path]):
-        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
-        self._place = place
-
-    def persistent_id(self, obj: object) -> _Stored | None:
-        if type(obj) is not np.ndarray or obj.nbytes < _LARGE or obj.dtype.kind not in "fciub":
-            return None
-        if obj.flags.c_contiguous or obj.flags.f_contiguous:
-            return _Stored(self._place(obj))
-        whole = obj.base
-        if type(whole) is not np.ndarray or not whole.flags.c_contiguous or whole.dtype != obj.dtype:
-            return None
-        if whole.nbytes > _SPARE * obj.nbytes:
-            return None
-        first = obj.__array_interface__["data"][0] - whole.__array_interface__["data"][0]
-        return _Stored(self._place(whole), (obj.shape, first, obj.strides))
-
-
-class _Unpickler(pickle.Unpickler):
-    """Reads what `_Pickler` wrote, each array once."""
-
-    def __init__(self, file: BinaryIO):
-        super().__init__(file)
-        self._arrays: dict[Path, np.ndarray] = {}
-
-    def persistent_load(self, pid: Any) -> np.ndarray:
-        path, part = pid
-        if path not in self._arrays:  # private copies of pages that are written to
-            self._arrays[path] = np.load(path, mmap_mode="c", allow_pickle=False).view(np.ndarray)
-        whole = self._arrays[path]
-        if part is None:
-            return whole
-        shape, first, strides = part
-        return np.ndarray(shape, whole.dtype, whole, first, strides)
-
-
-def _read(path: Path) -> Any:
-    with path.open("rb") as file:
-        return _Unpickler(file).load()

@@ -15,7 +15,7 @@ from calib.correlation.modal import pairing as pairs
 from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.order import Costs
 from calib.correlation.modal.pairing import Pairing
-from calib.correlation.modal.subspaces import equal_at_nominal, turned_to_measured
+from calib.correlation.modal.subspaces import has_equal_modes, turned_to_measured
 from calib.correlation.standard_deviations import assumed_deviations, known_std
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.mac import mac
@@ -337,19 +337,8 @@ class ModalProblem:
 
     @cached_property
     def has_equal_modes(self) -> bool:
-        """See `calib.correlation.modal.subspaces.equal_at_nominal`.
-
-        A large model with effects that are absent at its nominal values is not solved there: it is the `base`.
-        """
-        base = self.base
-        return base.has_equal_modes if base is not None and self._is_nominally(base) else equal_at_nominal(self)
-
-    def _is_nominally(self, base: ModalProblem) -> bool:
-        """Whether it compares the same as another problem at its nominal values, but for added effects."""
-        given = ("freq_window", "override", "threshold", "mode_clusters")
-        alike = base.measured is self.measured and all(getattr(base, one) == getattr(self, one) for one in given)
-        here, there = self.space.values, base.space.values
-        return alike and self.reducible is not None and all(here.get(name) == there[name] for name in there)
+        """See `calib.correlation.modal.subspaces.has_equal_modes`."""
+        return has_equal_modes(self)
 
     @cached_property
     def _base_reference(self) -> tuple[Point, Pairing, Costs] | None:

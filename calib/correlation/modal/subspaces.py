@@ -65,6 +65,22 @@ def close_modes(problem: ModalProblem, modes: Modes, within: float) -> tuple[Gro
     return close_groups(modes.natural_freq, measured.natural_freq, known_std(measured).freq, within)
 
 
+def has_equal_modes(problem: ModalProblem) -> bool:
+    """See `equal_at_nominal`; a large model whose effects are absent at its nominal values is its base model there."""
+    base = problem.base
+    if base is not None and problem.reducible is not None and _is_nominally(problem, base):
+        return base.has_equal_modes
+    return equal_at_nominal(problem)
+
+
+def _is_nominally(problem: ModalProblem, base: ModalProblem) -> bool:
+    """Whether both compare the same at their nominal values, but for effects."""
+    given = ("freq_window", "override", "threshold", "mode_clusters")
+    alike = base.measured is problem.measured and all(getattr(base, one) == getattr(problem, one) for one in given)
+    here, there = problem.space.values, base.space.values
+    return alike and all(here.get(name) == there[name] for name in there)
+
+
 def equal_at_nominal(problem: ModalProblem) -> bool:
     """Whether measured modes are paired with modes of equal frequency of the nominal model.
 
