@@ -15,7 +15,7 @@ from calib.api.listener import Listener
 from calib.errors.errors import InputError
 from calib.problem.joint import TEST
 from calib.report.html.study_results import REPORT, StudyResults
-from calib.report.kept import KeptFigures
+from calib.report.kept import FORMATS, KeptFigures
 from calib.report.tables import CurrentFolder, read_results
 from calib.results.results import RESULTS, Results
 from calib.results.written import is_own
@@ -25,7 +25,8 @@ from calib.study.study_file import StudyFile, shell_argument
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from calib.report.style import Format, Width
+    from calib.report.kept import Format
+    from calib.report.style import Width
 
 _NUMBERED = re.compile(r"_\d+$")
 """End of the name of one of several pictures of a subject."""
@@ -55,10 +56,12 @@ def draw(
     formats: Sequence[Format] = ("png",),
     width: Width = "page",
     workers: places.Workers = None,
+    wanted: bool = True,
 ) -> None:
     """Draw the figures of a folder, and of the folders of its tests where there are several.
 
-    The report is written on request, and where an older one exists; several tests have one together.
+    The report is written on request, and where an older one exists; several tests have one together. Where figures are
+    not ``wanted``, those of older tables and their report are removed instead.
 
     Parameters
     ----------
@@ -74,6 +77,8 @@ def draw(
         Of these figures; see `calib.report.style.save`.
     workers : int or Injected, optional
         See `calib.analyses.provenance.places.tasks_shared`.
+    wanted : bool
+        Whether to draw without a report; a report has its figures.
 
     Raises
     ------
@@ -86,15 +91,23 @@ def draw(
     try:
         each = _shown(study, folder, root)
         whole = each[-1]
-        report = not study.test and (report or folder.has(REPORT))
+        report = not study.test and (report or (wanted and folder.has(REPORT)))
         if report:
             from calib.report.html import write  # with its templates, needed for pages alone
         for one in each:
             listener.to_draw(one.study, one.stale.told, place / REPORT if report and one is whole else None)
         kept = [one.kept(formats, width) for one in each]
-        if not report and None not in (there := [one.there for one in kept]):
+        there = [] if report else [one.there for one in kept]
+        if not report and None not in there:
             for one, paths in zip(each, there, strict=True):
                 listener.drawn(one.study, paths or (), None)
+            return
+        if not (wanted or report):
+            for one, paths, earlier in zip(each, there, kept, strict=True):
+                if paths is None:
+                    earlier.forget()
+                    one.folder.remove(REPORT, *_replaced(one.folder.path, (), everything=True))
+            listener.not_drawn(study, root)
             return
         from calib.api.figures_made import make_all
         from calib.report.figures import FigureRequest
@@ -124,8 +137,6 @@ def draw(
 
 def _replaced(folder: Path, figures: Sequence[Path], everything: bool) -> list[str]:
     """Names of older pictures that new ones replace: those that are now one or several, or all others."""
-    from calib.report.style import FORMATS
-
     stems = {file.stem for file in figures}
     subjects = {_NUMBERED.sub("", stem) for stem in stems}
     old = [file for kind in FORMATS for file in folder.glob(f"*.{kind}") if file not in figures and is_own(file)]

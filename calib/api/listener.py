@@ -118,6 +118,9 @@ class Listener:
     def drawn(self, study: StudyFile, figures: Sequence[Path], page: Page | None, too_wide: Sequence[str] = ()) -> None:
         """Figures, and the report where there is one, were made; some ``too_wide`` for a column."""
 
+    def not_drawn(self, study: StudyFile, root: Path) -> None:
+        """Figures of the tables as they are now were not wanted; ``root`` is the root folder of all results."""
+
     def requested(self, figures: Sequence[Path]) -> None:
         """Figures that the user named were drawn."""
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Unpack
 
 from calib.analyses.provenance import places
+from calib.errors.arguments import integer
 
 if TYPE_CHECKING:
     from calib.analyses.again import Repeated
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
     from calib.analyses.designs import Designs
     from calib.analyses.intervals import Intervals
     from calib.analyses.pareto import Pareto
+    from calib.analyses.propose import ProposalResult
     from calib.analyses.refine import Refined
     from calib.analyses.robustness import Robustness
     from calib.analyses.screening import Screening
@@ -255,6 +257,24 @@ def explain_step(study: Any) -> ExplanationResult:
         answer = explain(stored, study.folder, step, homes, {one.one.test: one.folder for one in study.tests})
     study.listener.explained(loaded, answer, study.folder)
     return answer
+
+
+def propose_step(study: Any, rank: int | None) -> ProposalResult:
+    """Effects that nobody listed, composed after an explanation; the best ``rank`` are written as a study."""
+    from calib.analyses import propose as proposal
+    from calib.analyses.provenance.stored import with_stored_modes
+
+    wanted = proposal.RANKED if rank is None else integer(rank, 1, "rank")
+    loaded, root = study.loaded, study.results
+    study.listener.begins(loaded, "propose")
+    with (
+        study.listener.progress() as step,
+        with_stored_modes(loaded, lambda: opened_ledger(study, loaded)) as stored,
+    ):
+        homes = {one.test: places.results_of(one, root) for one in loaded.studies}
+        found = proposal.propose(stored, study.folder, wanted, step, homes)
+    study.listener.proposed(loaded, found, study.folder, root)
+    return found
 
 
 def with_named(study: Any, before: Fitted, found: Explanation) -> Any:

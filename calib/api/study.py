@@ -28,7 +28,8 @@ if TYPE_CHECKING:
     from calib.analyses.staged import Found
     from calib.api.designs import DesignKeys
     from calib.problem.effect import Effect
-    from calib.report.style import Format, Width
+    from calib.report.kept import Format
+    from calib.report.style import Width
     from calib.study.several import AnyStudy
     from calib.study.study import LoadedStudy as Loaded
 
@@ -49,6 +50,8 @@ class Study:
         Number of worker processes; None for one per core where that pays. An executor or a cluster takes their place.
     quick : bool
         A quick run, with small searches; its results go to a sub-folder.
+    figures : bool
+        Whether each analysis draws its tables. Where not, figures of older tables are removed; `report` draws all.
     listener : Listener
         Receives progress and results.
     read : Study, JointStudy or None
@@ -72,6 +75,7 @@ class Study:
     results: Path = RESULTS
     workers: places.Workers = None
     quick: bool = False
+    figures: bool = True
     listener: Listener = field(default_factory=Listener)
     read: AnyStudy | None = None
 
@@ -85,15 +89,16 @@ class Study:
         progress: bool = True,
         listener: Listener | None = None,
         executor: AnyExecutor | None = None,
+        figures: bool = True,
     ) -> Study:
         """Read a study with everything it names; InputError for anything wrong in it.
 
         A study whose values it adopts is calibrated first, where it is not yet. A terminal or a notebook shows how far
         its analyses are, unless ``progress`` is false or a listener receives it. ``executor`` evaluates the points of
-        every analysis, see `run`; by default it is that of ``[compute]``.
+        every analysis, see `run`; by default it is that of ``[compute]``. Without ``figures`` analyses draw none.
         """
         receiver = listener or (Showing() if progress else Listener())
-        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, receiver)
+        study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, figures, receiver)
         chosen = executor or study.loaded.settings.compute.executor
         if chosen == "processes":
             return study
@@ -300,20 +305,9 @@ class Study:
 
         The best ``rank`` are written as a library of effects, in a study of its own among the results.
         """
-        from calib.analyses import propose as proposal
-        from calib.analyses.provenance.stored import with_stored_modes
         from calib.api.entries.proposed import proposed_entries
 
-        wanted = proposal.RANKED if rank is None else integer(rank, 1, "rank")
-        loaded, root = self.loaded, self.results
-        self.listener.begins(loaded, "propose")
-        with (
-            self.listener.progress() as step,
-            with_stored_modes(loaded, lambda: steps.opened_ledger(self, loaded)) as stored,
-        ):
-            homes = {one.test: places.results_of(one, root) for one in loaded.studies}
-            found = proposal.propose(stored, self.folder, wanted, step, homes)
-        self.listener.proposed(loaded, found, self.folder, root)
+        found = steps.propose_step(self, rank)
         words = (found.answer.found, found.answer.sure, *found.sentences)
         return FolderResult(words, found.table, self.folder.path, found, tuple(proposed_entries(found)))
 
@@ -395,4 +389,5 @@ class Study:
         """Draw the figures of all tables, and of each test; see `calib.api.figures.draw`."""
         from calib.api.figures import draw
 
-        draw(self.loaded, folder or self.folder, self.results, self.listener, report, workers=self.workers)
+        place = folder or self.folder
+        draw(self.loaded, place, self.results, self.listener, report, workers=self.workers, wanted=self.figures)

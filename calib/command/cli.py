@@ -25,6 +25,7 @@ from calib.command.options import (
     CaseName,
     ExecutorName,
     Format,
+    NoFigures,
     Quick,
     ResultsPath,
     SensitivityMethod,
@@ -88,11 +89,15 @@ def sensitivity_of_study(
         tuple[str, str, str] | None,
         typer.Option("--surface", metavar="RESPONSE X Y", help="Draw its metamodel over two parameters."),
     ] = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Find which parameters matter: Latin hypercube, rank correlations, variance shares, selection, metamodels."""
     how = method.value
-    with loaded_study("sensitivity", study, results, verbose, workers, quick, method=how, executor=executor) as loaded:
+    figures = not no_figures
+    with loaded_study(
+        "sensitivity", study, results, verbose, workers, quick, method=how, executor=executor, figures=figures
+    ) as loaded:
         loaded.sensitivity(
             method.value,
             ignore_constraints=ignore_constraints,
@@ -116,6 +121,7 @@ def calibrate_study(
         CalibrationMethod | None, typer.Option("--method", help="Method [default: that of the study].")
     ] = None,
     cache: CachePath = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Fit the parameters in several independent cases, and compare the model before and after.
@@ -124,7 +130,8 @@ def calibrate_study(
     """
     how = None if method is None else method.value
     with loaded_study(
-        "calibrate", study, results, verbose, workers, quick, True, cache, case, how, executor
+        "calibrate", study, results, verbose, workers, quick, cache=cache, case=case, method=how, executor=executor,
+        figures=not no_figures,
     ) as loaded:  # fmt: skip
         loaded.calibrate(case, method=None if method is None else method.value)
 
@@ -143,13 +150,17 @@ def intervals_of_fit(
     executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Intervals of the fitted parameters by the profile likelihood, beside those of their standard deviations.
 
     One is moved from its fitted value while all others are fitted again, until the data exclude what lies beyond.
     """
-    with loaded_study("intervals", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
+    figures = not no_figures
+    with loaded_study(
+        "intervals", study, results, verbose, workers, quick, cache=cache, executor=executor, figures=figures
+    ) as loaded:
         loaded.intervals(parameter or (), samples=samples)
 
 
@@ -199,6 +210,7 @@ def explain_study(
     executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Find which physical effect the model lacks: a verdict, its evidence, and the recommended next measurement.
@@ -206,7 +218,10 @@ def explain_study(
     Calibrates by least squares, tests every effect of the study's library and every local perturbation of the model,
     fits the most promising ones, and tests the remaining misfit.
     """
-    with loaded_study("explain", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
+    figures = not no_figures
+    with loaded_study(
+        "explain", study, results, verbose, workers, quick, cache=cache, executor=executor, figures=figures
+    ) as loaded:
         loaded.explain()
 
 

@@ -9,11 +9,11 @@ import typer
 
 from calib.command import terminal
 from calib.command.loaded import loaded_study
-from calib.command.options import Quick, ResultsPath, Verbose, possible, require_used_options
+from calib.command.options import NoFigures, Quick, ResultsPath, Verbose, possible, require_used_options
 from calib.errors.errors import InputError
 from calib.results.results import RESULTS
 
-_OF_STUDIES = "results", "undamped", "quick"
+_OF_STUDIES = "results", "undamped", "quick", "no_figures"
 _OF_FILES = (
     "shapes",
     "modes_shapes",
@@ -62,6 +62,7 @@ def compare_model(
         bool, typer.Option("--undamped", help="Also the frequencies of stiffness and mass alone.")
     ] = False,
     quick: Quick = False,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Compare model and measurement without fitting: errors, MAC, and where the model fails.
@@ -88,5 +89,5 @@ def compare_model(
     if study is None:
         raise InputError("nothing is named", place="compare", remedy="name a study, or --modes and --measured")
     require_used_options(context, _OF_FILES, "the comparison of a study", "leave it out; files are named in study.toml")
-    with loaded_study("compare", possible(study), results, verbose, quick=quick) as loaded:
+    with loaded_study("compare", possible(study), results, verbose, quick=quick, figures=not no_figures) as loaded:
         loaded.compare(undamped=undamped)

@@ -11,6 +11,7 @@ from calib.command.loaded import loaded_study
 from calib.command.options import (
     CachePath,
     ExecutorName,
+    NoFigures,
     Picture,
     Quick,
     ResultsPath,
@@ -67,6 +68,7 @@ def refine_samples(
     workers: Workers = None,
     executor: ExecutorName = None,
     quick: Quick = False,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Choose new runs where metamodels know least near what was measured.
@@ -74,7 +76,9 @@ def refine_samples(
     For a table of runs they are proposed, as a CSV of inputs; a model that computes is evaluated there, and its
     metamodels are built anew.
     """
-    with loaded_study("refine", study, results, verbose, workers, quick, executor=executor) as loaded:
+    with loaded_study(
+        "refine", study, results, verbose, workers, quick, executor=executor, figures=not no_figures
+    ) as loaded:
         loaded.refine(runs, seed=seed)
 
 
@@ -96,6 +100,7 @@ def pareto_of_study(
     executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Search the Pareto front of two groups of responses, by default frequencies against MAC.
@@ -104,7 +109,9 @@ def pareto_of_study(
     Interrupt it at any time: the same command resumes it and ends with the same result.
     """
     objectives = groups_named(group or ())
-    with loaded_study("pareto", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
+    with loaded_study(
+        "pareto", study, results, verbose, workers, quick, cache=cache, executor=executor, figures=not no_figures
+    ) as loaded:
         loaded.pareto(population=population, generations=generations, seed=seed, objectives=objectives)
 
 
@@ -123,6 +130,7 @@ def spread_of_fit(
     executor: ExecutorName = None,
     quick: Quick = False,
     cache: CachePath = None,
+    no_figures: NoFigures = False,
     verbose: Verbose = False,
 ) -> None:
     """Push samples of the fitted parameters through the model: quantiles of its responses, shares outside limits.
@@ -130,5 +138,7 @@ def spread_of_fit(
     Uses the samples of 'calib intervals --samples' where there are some. Needs a calibration.
     """
     limits = limits_of(limit or ())
-    with loaded_study("robustness", study, results, verbose, workers, quick, cache=cache, executor=executor) as loaded:
+    with loaded_study(
+        "robustness", study, results, verbose, workers, quick, cache=cache, executor=executor, figures=not no_figures
+    ) as loaded:
         loaded.robustness(samples=samples, seed=seed, limits=limits)

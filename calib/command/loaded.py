@@ -25,6 +25,7 @@ def loaded_study(
     case: str | None = None,
     method: str | None = None,
     executor: str | None = None,
+    figures: bool = True,
 ) -> Iterator[Study]:
     """The study of a command, which prints its answer at the end.
 
@@ -41,6 +42,8 @@ def loaded_study(
         Whether to read model and data at once.
     case, method : str, optional
         Further options with which the command is given again once it was interrupted.
+    figures : bool
+        Whether to draw those of the tables.
     """
     gc.disable()  # what is imported stays: the collector's passes over it, at the exit too, would take 0.1 s
     try:
@@ -65,7 +68,9 @@ def loaded_study(
         printing(verb, verbose, note) as listener,
     ):  # fmt: skip
         if load:
-            found = Study.load(path, results, workers=workers, quick=quick, listener=listener, executor=executor)
+            found = Study.load(
+                path, results, workers=workers, quick=quick, listener=listener, executor=executor, figures=figures
+            )
             try:
                 yield found
             finally:

@@ -87,6 +87,10 @@ Workers = Annotated[
     int | None,
     typer.Option("--workers", min=1, max=256, help="Worker processes [default: one per core where that pays]."),
 ]
+NoFigures = Annotated[
+    bool,
+    typer.Option("--no-figures", help="Draw none, which 'calib report' can do later; those of older tables go."),
+]
 ExecutorName = Annotated[
     str | None,
     typer.Option(

@@ -16,7 +16,7 @@ from calib.command import terminal
 from calib.command.terminal import say, tell_answer, tell_entries
 from calib.execution.stage import Progress
 from calib.results.answer import Answer
-from calib.results.results import Results
+from calib.results.results import RESULTS, Results
 from calib.results.running import RunningNote
 from calib.structure.reduction.cache import basis_cache
 from calib.study.study_file import StudyFile, shell_argument
@@ -238,6 +238,10 @@ class _Printing(Listener):
         if page is not None:
             title = study.settings.title.removesuffix(f": {study.test}")  # the answer is that of all tests
             self._pages.append((f"{title}: {self.verb}{_label(study)}", page))
+
+    def not_drawn(self, study: StudyFile, root: Path) -> None:
+        place = "" if root == RESULTS else f" --results {shell_argument(root)}"
+        self._add(Words(f"Draw figures with: calib report {shell_argument(study.file)}{place}", when="always"))
 
     def requested(self, figures: Sequence[Path]) -> None:
         self._add(*(Words(f"Drawn: {path}", "always") for path in figures))

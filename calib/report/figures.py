@@ -22,12 +22,11 @@ from calib.errors.errors import InputError
 from calib.execution.stage import Progress, silent
 from calib.report.draw import plan
 from calib.report.drawing import Drawing
-from calib.report.kept import drawn_by
+from calib.report.kept import Format, drawn_by
 from calib.report.scene import upright
 from calib.report.style import (
     COLUMN,
     HIGHEST,
-    Format,
     Width,
     add_heading,
     content,

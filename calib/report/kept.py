@@ -11,11 +11,15 @@ from dataclasses import dataclass
 from functools import cache, cached_property
 from importlib import metadata
 from pathlib import Path
+from typing import Literal, TypeAlias
 
 from calib.report.tables import CurrentFolder
 from calib.results.code_digest import code_digest
 from calib.results.written import is_own, replacing
 
+Format: TypeAlias = Literal["svg", "png", "pdf"]
+FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
+"""Formats of files, in the order in which they are written: the last removes the words under the mouse."""
 _FILE = "figures.sha256"
 _RECORD = "record.json"
 """The only file of results that decides no figure by all that is in it, since it tells when an analysis was made."""

@@ -26,6 +26,7 @@ from matplotlib.text import Text
 from matplotlib.ticker import LogFormatter
 from PIL import Image
 
+from calib.report.kept import FORMATS, Format
 from calib.report.svg import svg_text, without_hover
 from calib.results.written import replacing
 
@@ -59,9 +60,6 @@ _width: ContextVar[float] = ContextVar("width", default=WIDTH)
 DPI = 160
 _ABREAST = 4
 """Largest number of equal panels side by side."""
-Format: TypeAlias = Literal["svg", "png", "pdf"]
-FORMATS: tuple[Format, ...] = ("svg", "png", "pdf")
-"""Formats of files, in the order in which they are written: the last removes the words under the mouse."""
 DENSE = 50
 """Dots of one panel from which they are painted as pixels in SVG and PDF: as shapes they would make these large."""
 SYNTHETIC = "synthetic measurement"
