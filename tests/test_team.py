@@ -97,6 +97,26 @@ def unread(shared, item):
     return item
 
 
+def adder(size):
+    return lambda item: item + size
+
+
+def carries(shared, item):
+    function, folder = shared
+    if folder is not None:
+        meet(folder)
+    return item, os.getpid()
+
+
+def calls(shared, item):
+    function, folder = shared
+    meet(folder)
+    try:
+        return function(item)
+    except Exception:
+        return None
+
+
 def stops(home, item):
     if os.getpid() != home:
         time.sleep(600.0)  # it is ended with its process
@@ -241,6 +261,21 @@ def test_what_cannot_be_sent_prevents_no_other_tasks_from_being_shared(module, m
         assert one(module.unread, module.Unread(), range(9)) == list(range(9))
         assert one.shares
         ready(one, module, meeting)
+
+
+def test_a_function_that_cannot_be_sent_stays_here_and_what_holds_it_is_sent(two, module, meeting):
+    found = two(module.carries, (module.adder(2), meeting), range(6))
+    assert [item for item, _ in found] == list(range(6)) and len({who for _, who in found}) == 2
+
+
+def test_a_task_that_calls_a_function_that_could_not_be_sent_is_done_here(module, meeting):
+    with Team(2) as one:
+        ready(one, module, new(meeting))
+        assert one(module.calls, (module.adder(2), new(meeting)), range(6)) == [2, 3, 4, 5, 6, 7]
+        (last := new(meeting)).joinpath("other").touch()
+        (last / "another").touch()
+        assert one(module.calls, (module.adder(3), last), range(6)) == [3, 4, 5, 6, 7, 8]
+        assert module.calls in one._unsent and one.shares
 
 
 def test_tasks_within_a_task_are_done_by_its_process(two, module, meeting):

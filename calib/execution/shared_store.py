@@ -8,6 +8,7 @@ import pickle
 import weakref
 from collections.abc import Callable
 from pathlib import Path
+from types import FunctionType
 from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
@@ -81,12 +82,39 @@ class _Stored(NamedTuple):
     part: tuple[tuple[int, ...], int, tuple[int, ...]] | None = None
 
 
+class NotSent(BaseException):
+    """A function that could not be sent was called; no fault of a model, so that nobody takes it for one."""
+
+
+def can_be_sent(thing: object) -> bool:
+    """Whether another process finds a function by its name: not one defined in another function, or without a name."""
+    return not isinstance(thing, FunctionType) or "<" not in thing.__qualname__
+
+
+class _StandIn:
+    """What another process has in the place of a function that cannot be sent, such as one in another function."""
+
+    def __init__(self, name: str):
+        self.name = name
+
+    def __call__(self, *arguments: object, **named: object) -> None:
+        """NotSent, whatever is asked."""
+        raise NotSent(self.name)
+
+
 class _Pickler(pickle.Pickler):
-    """Pickles an object with paths in place of its large arrays."""
+    """Pickles an object with paths in place of its large arrays, and stand-ins for functions that cannot be sent.
+
+    Most tasks call none of them: the effects that a model has are built before.
+    """
 
     def __init__(self, file: io.BytesIO, place: Callable[[np.ndarray], Path]):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
         self._place = place
+
+    def reducer_override(self, obj: object) -> Any:
+        """How to make an object again; NotImplemented for the usual way."""
+        return NotImplemented if can_be_sent(obj) else (_StandIn, (getattr(obj, "__qualname__", ""),))
 
     def persistent_id(self, obj: object) -> _Stored | None:
         if type(obj) is not np.ndarray or obj.nbytes < _LARGE or obj.dtype.kind not in "fciub":

@@ -16,7 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
-from calib.execution.shared_store import SharedStore, read
+from calib.execution.shared_store import NotSent, SharedStore, can_be_sent, read
 from calib.execution.tasks import I, R, S, Told, one_thread, unreported
 
 _MOST = 1024
@@ -114,7 +114,7 @@ class Team:
                 return first + self._alone(function, shared, items, lambda done: told(1 + done))
         own = (lambda done: told(1 + done)) if first else told
         worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH
-        ready = worth and self._able and function not in self._unsent
+        ready = worth and self._able and can_be_sent(function) and function not in self._unsent
         content = self._written(function, shared, items) if ready else None
         numbers = None if content is None else self._submitted(content, len(items))
         if numbers is None:
@@ -242,7 +242,7 @@ class _Done:
 
 
 class _Lost:
-    """A task that another process could not do; ``begun`` where its function was called."""
+    """A task that another process could not do; not ``begun`` where what its function needs could not be sent."""
 
     def __init__(self, begun: bool = True):
         self.begun = begun
@@ -311,5 +311,7 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
         function, shared, items = _Helper.content
         begun = True
         return _Done(function(shared, items[number]))
+    except NotSent:
+        return _Lost(begun=False)
     except BaseException:  # the first process does it again, and fails as it does alone
         return _Lost(begun)

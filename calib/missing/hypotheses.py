@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol, Self
 
@@ -118,6 +118,10 @@ class Altered:
     def jacobian(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
         """Derivative of the residual, (n_kept, n_params)."""
         return self._weighted(self.inner.jacobian({**values, **self.held}, names))
+
+    def inner_points(self, values: Mapping[str, float]) -> Iterator[tuple[FitProblem, dict[str, float]]]:
+        """The inner problem and its values; see `calib.problem.shared_points`."""
+        yield self.inner, {**values, **self.held}
 
     def _weighted(self, rows: np.ndarray) -> np.ndarray:
         of_all = rows if self.kept is None else rows[self.kept]

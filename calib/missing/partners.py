@@ -11,6 +11,7 @@ from calib.missing.hypotheses import FitProblem, Hypotheses
 from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem.candidate import Candidate
+from calib.problem.shared_points import solve_shared
 
 
 def pairing_points(
@@ -41,9 +42,11 @@ def pairing_points(
     """
     unpaired = hypotheses.unpaired(fit.effects, fit.values)
     out = {}
+    tried = {effect.name: tried_points(effect) for effect in candidates if unpaired}
+    solve_shared((fit_problem(name), {**fit.values, **point}) for name, points in tried.items() for point in points)
     for effect in candidates if unpaired else ():
         trials = []
-        for point in tried_points(effect):
+        for point in tried[effect.name]:
             values = {**fit.values, **point}
             try:
                 residual = fit_problem(effect.name).residual(values)

@@ -17,6 +17,7 @@ from calib.missing.linearised_fit import LinearisedFit
 from calib.missing.rules import RULES
 from calib.problem.candidate import Candidate
 from calib.problem.labels import Labelled
+from calib.problem.shared_points import solve_shared
 
 _NEVER = 1e-3
 """Chance that any sample reaches a score, below which none is drawn."""
@@ -122,16 +123,18 @@ def scores(
     points: list[Mapping[str, float]] = [{} for _ in plain]
     columns = [_seen(-fit.fit_problem.jacobian(fit.values, owners), plain)] if plain else []
     onset = [0.0] * len(plain)
-    for effect in candidates:
-        for point in (*effect.grid, *([further[effect.name]] if effect.name in further else [])):
-            try:
-                changed = fit_problems[effect.name].residual({**fit.values, **point})
-            except EvaluationError:
-                continue
-            owners.append(effect.name)
-            points.append(point)
-            onset.append(abs(point[effect.name]) if point is further.get(effect.name) else 0.0)
-            columns.append(((fit.residual - changed) / point[effect.name])[:, None])
+    more: dict[str, tuple[Mapping[str, float], ...]] = {name: (point,) for name, point in further.items()}
+    tried = [(e.name, point) for e in candidates for point in (*e.grid, *more.get(e.name, ()))]
+    solve_shared((fit_problems[name], {**fit.values, **point}) for name, point in tried)
+    for name, point in tried:
+        try:
+            changed = fit_problems[name].residual({**fit.values, **point})
+        except EvaluationError:
+            continue
+        owners.append(name)
+        points.append(point)
+        onset.append(abs(point[name]) if point is further.get(name) else 0.0)
+        columns.append(((fit.residual - changed) / point[name])[:, None])
     raw = np.hstack(columns) if columns else np.zeros((len(fit.residual), 0))
     two_sided = {e.name: e.signed for e in candidates}
     return scored(fit, owners, points, raw, [two_sided[name] for name in owners], onset)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
@@ -169,6 +169,11 @@ class JointProblem(JointRows):
             labels += [of_test(test, label) for label in found]
             blocks.append((freq, expand_columns(slope, own, names)))
         return tuple(labels), np.concatenate([f for f, _ in blocks]), np.vstack([s for _, s in blocks])
+
+    def inner_points(self, values: Mapping[str, float]) -> Iterator[tuple[Any, dict[str, float]]]:
+        """The problem of each test and its values; see `calib.problem.shared_points`."""
+        complete = self.space.complete(values)
+        return ((problem, self.own(test, complete)) for test, problem in self.parts.items())
 
     def own(self, test: str, values: Mapping[str, float]) -> dict[str, float]:
         """Values of the parameters of one test."""

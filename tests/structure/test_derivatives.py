@@ -11,7 +11,7 @@ from calib.errors.errors import InputError
 from calib.execution.tasks import shared_by, unreported
 from calib.problem.space import Parameter, ParameterSpace
 from calib.structure.affine import AffineMatrix, Monomial, Term, parameter
-from calib.structure.eigenproblem import derivatives
+from calib.structure.eigenproblem import derivatives, mode_systems
 from calib.structure.eigenproblem.derivatives import beside_roots, eigen_derivatives, eigenvalues, mode_derivatives
 from calib.structure.eigenproblem.solve import solve_modes
 from calib.structure.modes import Modes
@@ -294,5 +294,35 @@ def test_sparse_derivatives_are_the_same_whoever_shares_their_modes():
         mode_derivatives(model, {}, modes, names, [1], rows[:0])  # without shapes nothing is worth sending
     assert [sorted(j for _, some in tasks for j in some) for tasks in done] == [[0, 2, 3]]
     assert {shift is None for shift, _ in done[0]} == {True, False}  # solved together, and by a factor with a border
+    for field in ("eigenvalue", "shapes", "natural_freq", "damping_ratio", "regular"):
+        assert getattr(own, field).tobytes() == getattr(other, field).tobytes()
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_products_of_all_modes_at_once_are_those_one_by_one(monkeypatch, damped):
+    model = small(1, damped)
+    modes, names = model.modes(model.space.values, N), ("k", "E", "h", "c", "m")
+    at_once = mode_derivatives(model, {}, modes, names, [4, 0, 2])
+    monkeypatch.setattr(mode_systems, "_AT_ONCE", 0)
+    alone = mode_derivatives(model, {}, modes, names, [4, 0, 2])
+    close(at_once.eigenvalue.T, alone.eigenvalue.T, 1e-13)
+    close(at_once.shapes.reshape(-1, 3), alone.shapes.reshape(-1, 3), 1e-11)
+
+
+@pytest.mark.parametrize("at_once", [0, 10**6])
+def test_modes_of_a_small_model_are_shared_too_and_no_digit_changes(monkeypatch, at_once):
+    monkeypatch.setattr(mode_systems, "_AT_ONCE", at_once)
+    model, done = small(1), []
+    modes, rows = model.modes(model.space.values, N), np.eye(N)[:3]
+
+    def elsewhere(function, shared, items, told=unreported):
+        done.append(len(items))
+        there, task = pickle.loads(pickle.dumps((function, shared)))
+        return [there(task, item) for item in reversed(items)][::-1]
+
+    own = mode_derivatives(model, {}, modes, ("k", "c", "m"), [4, 0, 2], rows)
+    with shared_by(elsewhere):
+        other = mode_derivatives(model, {}, modes, ("k", "c", "m"), [4, 0, 2], rows)
+    assert done == [3]
     for field in ("eigenvalue", "shapes", "natural_freq", "damping_ratio", "regular"):
         assert getattr(own, field).tobytes() == getattr(other, field).tobytes()

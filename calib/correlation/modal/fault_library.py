@@ -135,7 +135,7 @@ def _gain(k: int, sensor: Sensor, at: At) -> ModalFault:
     name = f"gain of sensor {sensor.name}"
     return ModalFault(
         _sized(name, RULES.gain, RULES.gain_lower, RULES.gain_upper), name, LACKS["gain"], LOOK_FOR["gain"],
-        lambda by: gain_words(f"sensor {sensor.name}", by), "gain", *at, shares=(Contribution(k, sensor),),
+        partial(gain_words, f"sensor {sensor.name}"), "gain", *at, shares=(Contribution(k, sensor),),
     )  # fmt: skip
 
 
@@ -155,7 +155,7 @@ def _delay(k: int, sensor: Sensor, highest: float, at: At) -> ModalFault:
     reach = RULES.limit * size
     return ModalFault(
         _sized(name, size, -reach, reach, "ms"), name, LACKS["delay"], LOOK_FOR["delay"],
-        lambda by: delay_words(f"sensor {sensor.name}", by), "delay", *at, shares=(Contribution(k, sensor, "delay"),),
+        partial(delay_words, f"sensor {sensor.name}"), "delay", *at, shares=(Contribution(k, sensor, "delay"),),
     )  # fmt: skip
 
 
@@ -165,7 +165,7 @@ def _rotation(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     most = RULES.rotation_most
     return ModalFault(
         _sized(name, RULES.rotation, -most, most, "deg"), name, f"The sensor's axis is {sensor.direction}.",
-        LOOK_FOR["rotation"], lambda by: rotation_words(f"sensor {sensor.name}", source.direction, by),
+        LOOK_FOR["rotation"], partial(rotation_words, f"sensor {sensor.name}", source.direction),
         "rotation", *at, shares=shares,
     )  # fmt: skip
 
@@ -239,7 +239,7 @@ def _cross_talk(k: int, sensor: Sensor, source: Sensor, at: At) -> ModalFault:
     name = f"cross-talk of sensor {source.name} into {sensor.name}"
     return ModalFault(
         _sized(name, RULES.cross_talk, -1.0, 1.0), name, LACKS["cross-talk"], LOOK_FOR["cross-talk"],
-        lambda by: cross_talk_words(sensor.name, source.name, by), "cross-talk", *at, shares=(Contribution(k, source),),
+        partial(cross_talk_words, sensor.name, source.name), "cross-talk", *at, shares=(Contribution(k, source),),
     )  # fmt: skip
 
 
@@ -288,10 +288,14 @@ def _of_analysis(model: ModalModel, measured: MeasuredModes) -> Iterator[ModalFa
         yield ModalFault(
             _sized(name, 1.0, 0.0, 2.0), name, "Real shapes are the parts in phase.",
             "Ask for complex shapes, or for the parts in phase.",
-            lambda by: "the real shapes are amplitudes with a sign, not the parts in phase",
+            _modulus_words,
             "modulus", modulus=True,
         )  # fmt: skip
 
 
 def _damping_words(how: str, middle: float, by: float) -> str:
     return f"the analysis or its background adds {100 * by:.2g} % of damping at {hertz(middle)}, {how}"
+
+
+def _modulus_words(by: float) -> str:
+    return "the real shapes are amplitudes with a sign, not the parts in phase"

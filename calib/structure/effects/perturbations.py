@@ -173,6 +173,10 @@ def accelerometers(
         name, name, "The accelerometers weigh nothing.",
         "Weigh one with its mount and cable, and add it to the model of the test.",
         Parameter(name, 0.0, 0.0, RULES.added_most * size, "kg", prior_sd=size), build, of_measurement=True,
-        told=lambda by: f"accelerometers of {by:.2g} kg each weigh on the structure",
+        told=_weight_words,
     )  # fmt: skip
     return (Perturbation(effect, "mass", (np.nan, np.nan, np.nan)),)
+
+
+def _weight_words(by: float) -> str:
+    return f"accelerometers of {by:.2g} kg each weigh on the structure"

@@ -221,18 +221,22 @@ def eigen_derivatives(
         raise InputError(f"a mode outside 0..{modes.n_modes - 1} is requested", place="mode derivatives")
     solver = Damped if modes.is_complex else Undamped
     stiffness, damping, mass = (_small_as_dense(matrix) for matrix in (stiffness, damping, mass))
-    group = solver(stiffness, damping, mass, [tuple(map(_small_as_dense, slope)) for slope in slopes], modes)
+    asked = list(dict.fromkeys(chosen.tolist()))
+    group = solver(stiffness, damping, mass, [tuple(map(_small_as_dense, slope)) for slope in slopes], modes, asked)
     wanted = None if rows is None else np.asarray(rows)
     without_shapes = wanted is not None and not len(wanted)
     n_rows = stiffness.shape[0] if wanted is None else len(wanted)
     eigenvalue = np.zeros((len(names), len(chosen)), dtype=complex)
     shapes = np.zeros((len(names), n_rows, len(chosen)), dtype=group.shape_type)
     regular = np.ones(len(chosen), dtype=bool)
-    worth = sp.issparse(stiffness) and wanted is not None and not without_shapes  # to be sent to other processes
+    worth = wanted is not None and not without_shapes  # to be sent to other processes
     alone = without_shapes or not sp.issparse(stiffness)
-    tasks = _tasks(group, list(dict.fromkeys(chosen.tolist())), len(slopes), alone) if slopes else []
+    tasks = _tasks(group, asked, len(slopes), alone) if slopes else []
+    if tasks:
+        group.prepare()
     shared = group, without_shapes, _few_as_sparse(wanted)
-    found = each(_of_modes, shared, tasks) if worth else (_of_modes(shared, task) for task in tasks)
+    function = _of_modes if sp.issparse(stiffness) else _of_dense_modes
+    found = each(function, shared, tasks) if worth else (_of_modes(shared, task) for task in tasks)
     for (_, some), answers in zip(tasks, found, strict=True):
         for j, (own, shape, good) in zip(some, answers, strict=True):
             i = np.flatnonzero(chosen == j)
@@ -282,6 +286,11 @@ def _of_modes(shared: tuple[Undamped | Damped, bool, Matrix | None], task: Task)
     if wanted is not None:
         shapes = {j: wanted @ shape for j, shape in shapes.items()}
     return [(one.slope, shapes[one.mode], good[one.mode]) for one in systems]
+
+
+def _of_dense_modes(shared: tuple[Undamped | Damped, bool, Matrix | None], task: Task) -> list[Answer]:
+    """As `_of_modes`; a function of its own, since whoever shares tasks notes how long those of each function take."""
+    return _of_modes(shared, task)
 
 
 def _few_as_sparse(rows: np.ndarray | None) -> Matrix | None:

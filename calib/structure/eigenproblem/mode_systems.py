@@ -25,7 +25,7 @@ NEIGHBOUR = 0.1
 REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
-_AT_ONCE = 200_000
+_AT_ONCE = 4_000_000
 """Largest number of entries, of all parameters, degrees of freedom and modes, that are multiplied together."""
 
 _FREE = 1e-4
@@ -64,13 +64,15 @@ class _Modes:
     """What real and complex modes have in common.
 
     ``all`` are shapes (n_dof, n_known), ``squares`` squared natural frequencies (n_modes,), ``rigid`` is how many
-    motions have no stiffness, and ``shifted`` whether a factor may have a shift.
+    motions have no stiffness, ``shifted`` whether a factor may have a shift, and ``asked`` are the modes whose systems
+    are asked for.
     """
 
     k: Matrix
     m: Matrix
     slopes: list[Any]
     all: np.ndarray
+    asked: list[int]
     squares: np.ndarray
     rigid: int
     shape_type: type
@@ -89,19 +91,31 @@ class _Modes:
 
     def _pushed(self, i: int, combine: Callable[..., np.ndarray], *kinds: int) -> Iterable[np.ndarray]:
         """Of each parameter what is combined of derivatives of K, C and M (0, 1, 2) times a mode's shape, (n_dof,)."""
-        if sp.issparse(self.k) or 3 * len(self.slopes) * self.all[:, : len(self.squares)].size > _AT_ONCE:
+        if not self._at_once:
             return (combine(*(times(slope[kind], self.all[:, i]) for kind in kinds)) for slope in self.slopes)
-        return combine(*(self._every_product[kind, :, :, i] for kind in kinds))
+        return combine(*(self.products[kind, :, :, self.asked.index(i)] for kind in kinds))
+
+    @property
+    def _at_once(self) -> bool:
+        """Whether all derivatives are multiplied with all shapes that are asked for at once."""
+        entries = 3 * len(self.slopes) * len(self.all) * len(self.asked)
+        return not sp.issparse(self.k) and entries <= _AT_ONCE
 
     @cached_property
-    def _every_product(self) -> np.ndarray:
-        """Derivatives of K, C and M by each parameter times the shapes of all modes, (3, n_params, n_dof, n_modes)."""
-        shapes = self.all[:, : len(self.squares)]
-        products = np.empty((3, len(self.slopes), *shapes.shape), dtype=shapes.dtype)
+    def products(self) -> np.ndarray:
+        """Derivatives of K, C and M by each parameter times these shapes, (3, n_params, n_dof, n_asked)."""
+        shapes = self.all[:, self.asked]
+        products = np.zeros((3, len(self.slopes), *shapes.shape), dtype=shapes.dtype)
         for q, slope in enumerate(self.slopes):
             for kind, matrix in enumerate(slope):
-                products[kind, q] = times(matrix, shapes)
+                if getattr(matrix, "nnz", 1):
+                    products[kind, q] = real_times(matrix, shapes)
         return products
+
+    def prepare(self) -> None:
+        """Compute what all systems need, before they are solved one by one."""
+        if self._at_once:
+            _ = self.products
 
     def _factor(self, shift: float) -> spla.SuperLU:
         """At a shift, a squared frequency; the last one is kept."""
@@ -119,8 +133,10 @@ class _Modes:
 class Damped(_Modes):
     """State-space modes: groups of close eigenvalues among the modes and their conjugates."""
 
-    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
-        self.k, self.c, self.m, self.slopes = stiffness, damping, mass, slopes
+    def __init__(
+        self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes, asked: list[int]
+    ):
+        self.k, self.c, self.m, self.slopes, self.asked = stiffness, damping, mass, slopes, asked
         upper = eigenvalues(modes)
         self.eigenvalues = np.concatenate([upper, upper.conj()])
         self.all = np.hstack([modes.shapes, modes.shapes.conj()])
@@ -218,8 +234,10 @@ class Damped(_Modes):
 class Undamped(_Modes):
     """Classical modes: groups of close squared frequencies."""
 
-    def __init__(self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes):
-        self.k, self.m, self.slopes, self.all = stiffness, mass, slopes, modes.shapes
+    def __init__(
+        self, stiffness: Matrix, damping: Matrix, mass: Matrix, slopes: list[Any], modes: Modes, asked: list[int]
+    ):
+        self.k, self.m, self.slopes, self.all, self.asked = stiffness, mass, slopes, modes.shapes, asked
         self.omega = 2 * np.pi * modes.natural_freq
         self.groups, self.squares, self.shifted = modes.groups, self.omega**2, True
         self.shape_type = complex if any(has_entries(dc) for _, dc, _ in slopes) else float

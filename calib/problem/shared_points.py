@@ -1,0 +1,94 @@
+"""Points that several problems are about to be asked for, solved by all processes that share tasks."""
+
+from __future__ import annotations
+
+import io
+import pickle
+from collections.abc import Iterable, Iterator, Mapping
+from typing import Any
+
+from calib.errors.errors import EvaluationError
+from calib.execution.ahead import is_collecting
+from calib.execution.outcome import point_key
+from calib.execution.tasks import are_shared, each
+from calib.problem.problem import PairProblem
+
+Point = tuple[PairProblem[Any], dict[str, float]]
+"""A problem, and values of all parameters of its pair."""
+
+
+def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
+    """Solve points of models of matrices before they are asked for, where other processes share tasks.
+
+    Whoever asks for such a point afterwards finds it, and counts it as if it were solved then: results do not depend on
+    whether this was called. A user's function is left to the one who asks.
+
+    Parameters
+    ----------
+    requests : iterable of (problem, values)
+        Problems of one test, of several, or with altered rows, and named values at which their residuals will be asked.
+    """
+    if not are_shared() or is_collecting():
+        return
+    wanted = dict[tuple[int, str], Point]()
+    for problem, values in requests:
+        for own, complete in _points(problem, values):
+            key = point_key(complete)
+            if not own.knows(key):
+                wanted.setdefault((id(own), key), (own, complete))
+    if len(wanted) < 2:
+        return
+    pairs = {number: own.pair for (number, _), (own, _) in wanted.items()}
+    found = each(_solved, pairs, [(number, complete) for (number, _), (_, complete) in wanted.items()])
+    for ((_, key), (own, _)), answer in zip(wanted.items(), found, strict=True):
+        own.foresee(key, answer if isinstance(answer, EvaluationError) else _read(answer, own.pair))
+
+
+def _points(problem: Any, values: Mapping[str, float]) -> Iterator[Point]:
+    """What a problem solves at named values: `PairProblem` with models of matrices."""
+    if isinstance(problem, PairProblem):
+        if problem.store is None and hasattr(getattr(problem.pair.problem, "model", None), "matrices"):
+            yield problem, problem.pair.space.complete(dict(values))
+        return
+    for part, own in getattr(problem, "inner_points", lambda values: ())(values):
+        yield from _points(part, own)
+
+
+def _solved(
+    pairs: Mapping[int, Any], requested: tuple[int, Mapping[str, float]]
+) -> bytes | EvaluationError:  # as bytes: with its model a solution has hundreds of megabytes
+    number, values = requested
+    pair = pairs[number]
+    try:
+        solution = pair.solve(values)
+    except EvaluationError as fault:
+        return fault
+    content = io.BytesIO()
+    _Pickler(content, pair.problem.model).dump(solution)
+    return content.getvalue()
+
+
+def _read(content: bytes, pair: Any) -> Any:
+    return _Unpickler(io.BytesIO(content), pair.problem.model).load()
+
+
+class _Pickler(pickle.Pickler):
+    """Pickles a solution without its model."""
+
+    def __init__(self, file: io.BytesIO, model: object):
+        super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
+        self._model = model
+
+    def persistent_id(self, obj: object) -> str | None:
+        return "model" if obj is self._model else None
+
+
+class _Unpickler(pickle.Unpickler):
+    """Reads what `_Pickler` wrote, with the model of this process."""
+
+    def __init__(self, file: io.BytesIO, model: object):
+        super().__init__(file)
+        self._model = model
+
+    def persistent_load(self, pid: object) -> object:
+        return self._model
