@@ -6,21 +6,19 @@ import math
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import cache
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
 
 from calib.execution.stage import Progress as Told
 from calib.execution.stage import silent
 
 if TYPE_CHECKING:
+    from rich.console import Console
     from rich.progress import Progress
 
     from calib.results.running import RunningNote
 
-ERR = Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
-"""The error stream, on which progress stands."""
 SPARSE = 10.0
 """Seconds between two lines where the error stream is no terminal; the first comes after that time."""
 OFTEN = 0.2
@@ -31,18 +29,27 @@ _STEADY = 3.0
 """Seconds of a stage before its time left is told: earlier it is a guess."""
 
 
+@cache
+def error_stream() -> Console:
+    """The error stream, on which progress stands."""
+    from rich.console import Console  # who only imports calib needs none
+
+    return Console(stderr=True, highlight=False, markup=False, emoji=False, soft_wrap=True)
+
+
 @contextmanager
 def bars(verb: str) -> Iterator[Told]:
     """One bar for the present stage of a command, with the time left where the whole is known."""
-    if not ERR.is_terminal:
-        yield _Lines(verb, ERR.print, SPARSE)
+    stream = error_stream()
+    if not stream.is_terminal:
+        yield _Lines(verb, stream.print, SPARSE)
         return
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn  # slow to import, and not always shown
     from rich.table import Column
 
     words = TextColumn("{task.description}", markup=False, table_column=Column(ratio=1, overflow="fold"))
     columns = (words, BarColumn(bar_width=_BAR), TimeElapsedColumn(), TextColumn("{task.fields[remaining]}"))
-    with Progress(*columns, console=ERR, transient=True, expand=True) as bar:
+    with Progress(*columns, console=stream, transient=True, expand=True) as bar:
         yield _Bars(bar, verb)
 
 
@@ -62,13 +69,13 @@ def noted(told: Told, verb: str, note: RunningNote) -> Told:
 @contextmanager
 def in_python(verb: str, wanted: bool = True) -> Iterator[Told]:
     """As `bars` for a call from Python, if wanted: on a terminal or below a notebook's cell; nothing elsewhere."""
-    if wanted and ERR.is_jupyter:
+    if wanted and error_stream().is_jupyter:
         cell = _Cell()
         try:
             yield _Lines(verb, cell, OFTEN)
         finally:
             cell.clear()
-    elif wanted and ERR.is_terminal:
+    elif wanted and error_stream().is_terminal:
         with bars(verb) as reported:
             yield reported
     else:

@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from calib.api.entries.entry import NARROWEST, WIDTH, Entry, lines_of, wrapped_lines
-from calib.api.progress import ERR
+from calib.api.progress import error_stream
 from calib.errors.errors import InputError
 from calib.errors.place import WIDEST, excerpt
 from calib.execution.outcome import words_of
@@ -96,7 +96,7 @@ def _wrapped(text: str, indent: int = 0) -> str:
 
 def complain(text: str) -> None:
     """One line on the error stream."""
-    ERR.print(f"calib: {text}")
+    error_stream().print(f"calib: {text}")
 
 
 def output_lost() -> bool:
@@ -113,11 +113,13 @@ def complain_of_input(fault: InputError, arguments: list[str]) -> None:
     """
     text = fault.sentence
     log = None if fault.__cause__ is None else _log(" ".join(arguments), traceback.format_exc())
-    ERR.print("Error: " + (text if log is None else f"{text.rstrip('.')}; the traceback is in {log}."))
-    for line in () if fault.at is None else excerpt(fault.at, min(WIDEST, ERR.width) if ERR.is_terminal else WIDEST):
-        ERR.print(line)
+    stream = error_stream()
+    stream.print("Error: " + (text if log is None else f"{text.rstrip('.')}; the traceback is in {log}."))
+    widest = min(WIDEST, stream.width) if stream.is_terminal else WIDEST
+    for line in () if fault.at is None else excerpt(fault.at, widest):
+        stream.print(line)
     for line in fault.table.splitlines():
-        ERR.print(line)
+        stream.print(line)
 
 
 def complain_of_unexpected(fault: Exception, arguments: list[str]) -> None:

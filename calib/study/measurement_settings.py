@@ -64,7 +64,7 @@ class Section(BaseModel):
 
     # Text below a field is its description in the JSON schema, in editors and in the documents. `schema` reads it:
     # pydantic's own option parses these files each time they are imported.
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, defer_build=True)
 
 
 class NuisanceSettings(Section):

@@ -44,7 +44,8 @@ def cell(monkeypatch):
         return SimpleNamespace(update=lambda data, raw: shown.append(data["text/plain"]))
 
     monkeypatch.setitem(sys.modules, "IPython.display", SimpleNamespace(display=display))
-    monkeypatch.setattr(progress, "ERR", Console(file=io.StringIO(), force_jupyter=True))
+    console = Console(file=io.StringIO(), force_jupyter=True)
+    monkeypatch.setattr(progress, "error_stream", lambda: console)
     monkeypatch.setattr(progress, "OFTEN", 0.0)
     return shown
 
@@ -71,14 +72,16 @@ def test_the_line_is_cleared_by_a_failure_too(cell):
 def test_a_terminal_shows_a_bar_and_a_file_nothing(monkeypatch):
     terminal, file = io.StringIO(), io.StringIO()
     for stream, is_terminal in ((terminal, True), (file, False)):
-        monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=is_terminal, width=80))
+        console = Console(file=stream, force_terminal=is_terminal, width=80)
+        monkeypatch.setattr(progress, "error_stream", lambda console=console: console)
         problem_of(answer).calibrate(starts=1)
     assert "calibrate" in terminal.getvalue() and file.getvalue() == ""
 
 
 def test_two_analyses_at_once_share_a_terminal(monkeypatch):
     stream = io.StringIO()
-    monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=True, width=80))
+    console = Console(file=stream, force_terminal=True, width=80)
+    monkeypatch.setattr(progress, "error_stream", lambda: console)
     with progress.in_python("outer") as outer:
         fit = problem_of(answer).calibrate(starts=1)
         outer("last", 1, 2)

@@ -27,8 +27,9 @@ class Clock:
 def lines(monkeypatch):
     """Sparse lines by a clock of our own, and what they have written."""
     stream, clock = io.StringIO(), Clock()
-    monkeypatch.setattr(progress, "ERR", Console(file=stream, width=80, soft_wrap=True))
-    return progress._Lines("calibrate", progress.ERR.print, progress.SPARSE, clock), clock, stream
+    console = Console(file=stream, width=80, soft_wrap=True)
+    monkeypatch.setattr(progress, "error_stream", lambda: console)
+    return progress._Lines("calibrate", progress.error_stream().print, progress.SPARSE, clock), clock, stream
 
 
 def test_lines_are_sparse_and_without_control_characters(lines):
@@ -86,7 +87,7 @@ def test_bars_fit_the_terminal(monkeypatch, width):
     """Nothing is cut: a long stage wraps between its words."""
     stream = io.StringIO()
     console = Console(file=stream, force_terminal=True, width=width, legacy_windows=False)
-    monkeypatch.setattr(progress, "ERR", console)
+    monkeypatch.setattr(progress, "error_stream", lambda: console)
     stage = "fitting an effect with a name of very many words that does not end on one line of a terminal"
     with progress.bars("explain") as tell:
         tell(stage, 3, 7)
@@ -148,7 +149,8 @@ def test_a_part_tells_its_stages_under_its_name():
 def test_a_name_in_brackets_is_shown_as_it_is(monkeypatch):
     """Names of effects, tests and cases are the user's own, and no markup."""
     stream, stage = io.StringIO(), "fitting a spring [kN/m] [x] [/b]"
-    monkeypatch.setattr(progress, "ERR", Console(file=stream, force_terminal=True, width=100))
+    console = Console(file=stream, force_terminal=True, width=100)
+    monkeypatch.setattr(progress, "error_stream", lambda: console)
     with progress.bars("explain") as tell:
         tell(stage, 1, 4)
     assert f"explain: {stage} 1/4" in stream.getvalue()
