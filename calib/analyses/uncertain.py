@@ -10,6 +10,8 @@ import numpy as np
 
 from calib.analyses.joint_responses import own_values
 from calib.errors.errors import EvaluationError, InputError
+from calib.problem.problem import PairProblem
+from calib.problem.shared_points import solve_shared
 from calib.problem.space import Parameter, replace_parameters
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -89,8 +91,10 @@ def _on_finer(study: LoadedStudy, pair: Any, finer: Any) -> Any:
 
 
 def _mesh_change(study: LoadedStudy, pair: Any, refined: Any, values: Mapping[str, float]) -> np.ndarray:
+    own, finer = PairProblem(pair, pair.space), PairProblem(refined, refined.space)
+    solve_shared([(own, values), (finer, values)])
     try:
-        here, there = pair.solve(values), refined.solve(values)
+        here, there = own.at(values), finer.at(values)
         change = np.asarray(refined.of(there) - pair.of(here))
     except EvaluationError as fault:
         place = study.place("explain", "finer_options")

@@ -10,6 +10,7 @@ import numpy as np
 
 from calib.correlation.rules import RULES
 from calib.errors.errors import EvaluationError, InputError
+from calib.execution.tasks import each
 from calib.problem.space import Parameter
 from calib.results.fingerprint import digest_of
 from calib.structure.geometry import Mesh
@@ -176,7 +177,8 @@ class MeshError:
         """Modes of both meshes; InputError where the finer one cannot be solved."""
         if count not in self._kept:
             try:
-                found = [model.modes(self.own(model), count) for model in (self.coarse, self.finer)]
+                both = [(model, self.own(model)) for model in (self.coarse, self.finer)]
+                found = each(_modes, count, both)
             except EvaluationError as fault:
                 raise InputError(f"the finer model cannot be solved ({fault})", place="finer mesh") from None
             self._kept[count] = tuple(found)
@@ -201,3 +203,8 @@ class MeshError:
             self._kept[key] = found[1] - found[0]
         change: np.ndarray = self._kept[key]
         return change
+
+
+def _modes(count: int, at: tuple[StructuralModel, Mapping[str, float]]) -> Modes:
+    model, values = at
+    return model.modes(values, count)

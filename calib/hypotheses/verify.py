@@ -14,6 +14,7 @@ from calib.correlation.modal.faults import ModalFault
 from calib.correlation.modal.held_out import group_table, held_out_errors
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
+from calib.correlation.modal.whole_solution import WholeSolution
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.standard_deviations import Floors
 from calib.experiment.held_out import HeldOutGroups
@@ -178,7 +179,11 @@ def modal_errors(
     residual = ModalResidual(fitted, floors, faults=tuple(faults))
     found = residual.solve(values, solved)
     vector = residual.of(found) / scale
-    if faults:
+    known = None
+    if whole is not None and not faults and not held_sd:
+        known = WholeSolution.of(fitted, whole, values, names, floors, solved=found.modes)
+        jacobian = residual.slope_of(found, names, known.of_used(residual, found))
+    elif faults:
         jacobian = residual.slope(values, names, lambda at: found if dict(at) == dict(values) else residual.solve(at))
     else:
         jacobian = residual.slope_of(found, names, residual.derivatives(found, names))
@@ -197,8 +202,9 @@ def modal_errors(
         uncertain, covariance = tuple(uncertain[k] for k in kept), covariance[np.ix_(kept, kept)]
         values = {name: value for name, value in values.items() if name not in own_faults}
         held_out = held_out_errors(
-            fitted, whole, values, uncertain, covariance / scale**2, floors, finite or None, solved=found.modes
-        )
+            fitted, whole, values, uncertain, covariance / scale**2, floors, finite or None, solved=found.modes,
+            known=known,
+        )  # fmt: skip
         if scale != 1.0:
             held_out = _scaled(held_out, scale, min(finite.values(), default=KNOWN))
     own_scale, dof = matched(jacobian, prior_sd, residual.n_fitted_factors, others.slope)

@@ -12,6 +12,7 @@ from calib.command import cli
 from calib.execution.shared_store import SharedStore, read
 from calib.execution.tasks import shared_by, unreported
 from calib.results.results import Results
+from calib.study.study import LoadedStudy
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -45,8 +46,8 @@ def tables(folder):
 
 @pytest.mark.slow
 def test_an_explanation_is_the_same_whoever_shares_its_tasks(guyed, store, tmp_path):
-    study, results, _, _ = guyed
-    share = Elsewhere(store)
+    known, results, _, _ = guyed
+    study, share = LoadedStudy.load(known.file), Elsewhere(store)  # anew: of a module that was loaded again since
     with shared_by(share):
         explain(study, Results.at(tmp_path, study.name))
     assert {"_linearisation", "_of_dense_modes", "_solved"} <= share.done

@@ -11,6 +11,7 @@ from calib.correlation.modal.held_out import group_table, held_out_errors
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rows import ModalRow
+from calib.correlation.modal.whole_solution import WholeSolution
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import InputError
 
@@ -48,6 +49,24 @@ def measured(build, twin, damped=True, noise=NOISE, **options):
 
 def row(table, group):
     return table.set_index("group").loc[group]
+
+
+@pytest.mark.parametrize("damped", [True, False])
+def test_one_solution_gives_the_derivatives_of_used_and_of_all_data(build, twin, damped):
+    model, every = measured(build, twin, damped)
+    fitted, whole = split(model, every)
+    names = NAMES if damped else ("k_along", "k_across", "mass")
+    residual, values = ModalResidual(fitted, NONE), {**model.space.values, **TRUTH, "mass": 10.7}
+    found = residual.solve(values)
+    known = WholeSolution.of(fitted, whole, values, names, NONE, solved=found.modes)
+    own, used = residual.derivatives(found, names), known.of_used(residual, found)
+    for field in ("eigenvalue", "shapes", "natural_freq", "damped_freq", "damping_ratio"):
+        expected = getattr(own, field)
+        np.testing.assert_allclose(getattr(used, field), expected, atol=1e-6 * np.abs(expected).max())
+    assert used.names == own.names and used.regular.tolist() == own.regular.tolist()
+    v = np.diag(np.full(len(names), 1e-4))
+    one = held_out_errors(fitted, whole, values, names, v, NONE, known=known)
+    pd.testing.assert_frame_equal(one, held_out_errors(fitted, whole, values, names, v, NONE), rtol=1e-6)
 
 
 # -- noise alone -------------------------------------------------------------------------------------------------------

@@ -9,10 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pandas as pd
 
-from calib.correlation.modal.comparison import Comparison
 from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.modal.rows import ModalRow
+from calib.correlation.modal.whole_solution import WholeSolution, used_data
 from calib.correlation.standard_deviations import Floors
 from calib.errors.errors import InputError
 from calib.problem.degrees_of_freedom import behind, p_value
@@ -69,6 +69,7 @@ def held_out_errors(
     std_dof: StdDof | None = None,
     pool: bool | None = None,
     solved: Modes | None = None,
+    known: WholeSolution | None = None,
 ) -> pd.DataFrame:
     """Errors of a fitted model at held-out sensors and in held-out modes, with the expectation if correctly specified.
 
@@ -103,6 +104,8 @@ def held_out_errors(
         estimated from few repeats.
     solved : Modes, optional
         Of the model at these values, which is then not solved again.
+    known : WholeSolution, optional
+        At these values, with derivatives by these parameters.
 
     Returns
     -------
@@ -122,7 +125,7 @@ def held_out_errors(
     """
     spread = covariance_root(covariance, names)
     parts = []
-    for group, own in held_out_rows(fitted, whole, values, names, floors, pool, solved).items():
+    for group, own in held_out_rows(fitted, whole, values, names, floors, pool, solved, known).items():
         parts.append(_errors(group, own, np.hstack([own.slope @ spread, own.factor_spread]), std_dof))
     return pd.DataFrame(parts, columns=list(COLUMNS))
 
@@ -135,6 +138,7 @@ def held_out_rows(
     floors: Floors = _FLOORS,
     pool: bool | None = None,
     solved: Modes | None = None,
+    known: WholeSolution | None = None,
 ) -> dict[str, HeldOutRows]:
     """Rows of the held-out data by group, those that hold something; see `held_out_errors`.
 
@@ -145,20 +149,20 @@ def held_out_rows(
     EvaluationError
         When the model cannot be solved.
     """
-    used_modes, used_sensors = _used(fitted, whole)
+    used_modes, used_sensors = used_data(fitted, whole)
     measured = whole.measured
     hidden = {s.name for s in measured.sensors} - set(used_sensors)
     if set(measured.names) == set(used_modes) and not hidden:
         return {}
-    found = _joined(fitted, whole, values, solved)
+    known = known or WholeSolution.of(fitted, whole, values, names, floors, pool, solved)
+    found, slopes = known.found, known.slopes
     lost = {measured.names[i] for i in found.pairing.unpaired_measured}
     at_used = np.array([s.name in used_sensors for s in measured.sensors], dtype=bool)
     seen = {
-        m for m, known in zip(measured.names, np.isfinite(measured.shapes)[at_used].any(axis=0), strict=True) if known
+        m for m, shown in zip(measured.names, np.isfinite(measured.shapes)[at_used].any(axis=0), strict=True) if shown
     }
 
     own = ModalResidual(whole, floors, pool)
-    slopes = own.derivatives(found, names)
     value = measured_values(own)
 
     def taken(rows: np.ndarray, predicted: ModalResidual, spread: np.ndarray, factors: int) -> HeldOutRows:
@@ -279,59 +283,6 @@ def covariance_root(covariance: np.ndarray, names: Sequence[str]) -> np.ndarray:
     size = np.where(std > 0, std, 1.0)
     value, vector = np.linalg.eigh(v / np.outer(size, size))
     return size[:, None] * vector * np.sqrt(np.maximum(value, 0.0))
-
-
-def _used(fitted: ModalProblem, whole: ModalProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Names of used modes and sensors."""
-    modes, sensors = fitted.measured.names, tuple(s.name for s in fitted.measured.sensors)
-    foreign = [m for m in modes if m not in whole.measured.names]
-    known = {s.name for s in whole.measured.sensors}
-    foreign += [s for s in sensors if s not in known]
-    if foreign:
-        raise InputError(f"{', '.join(foreign)} is used but not part of the whole measurement", place="validation data")
-    return modes, sensors
-
-
-def _joined(fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, float], solved: Modes | None) -> Comparison:
-    """Comparison with the whole measurement, with used modes paired by the used data alone."""
-    used = fitted.compare(values, solved)
-    own = used.pairing
-    partner = dict(zip(fitted.measured.names, own.model_index.tolist(), strict=True))
-    lost = [mode for mode, j in partner.items() if j < 0]
-    taken = {mode: j + 1 for mode, j in partner.items() if j >= 0}
-    free = {m: k for m, k in whole.override.items() if m not in partner and k not in taken.values()}
-    # An unpaired used mode must not take the partner of a held-out mode.
-    joined = replace(
-        whole,
-        measured=whole.measured.without(modes=lost),
-        mode_clusters={m: c for m, c in whole.mode_clusters.items() if m not in lost},
-        mode_count=max(fitted.mode_count, whole.mode_count),
-        override={**taken, **free},
-    )
-    found = joined.compare(values, used.modes)
-    if not lost:
-        return found
-    place = [whole.measured.names.index(mode) for mode in found.measured.names]
-
-    def widened(column: np.ndarray, fill: float) -> np.ndarray:
-        out = np.full((whole.measured.n_modes, *column.shape[1:]), fill, dtype=column.dtype)
-        out[place] = column
-        return out
-
-    pairing = found.pairing
-    return replace(
-        found,
-        measured=whole.measured,
-        pairing=replace(
-            pairing,
-            model_index=widened(pairing.model_index, -1),
-            mac=widened(pairing.mac, np.nan),
-            emac=widened(pairing.emac, np.nan),
-            margin=widened(pairing.margin, np.nan),
-        ),
-        mac=widened(found.mac, np.nan),
-        emac=widened(found.emac, np.nan),
-    )
 
 
 def _errors(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Protocol, Self, TypeAlias
 
@@ -81,6 +81,12 @@ class ModeDerivatives:
     damped_freq: np.ndarray
     damping_ratio: np.ndarray
     regular: np.ndarray
+
+    def of(self, modes: Sequence[int], rows: Sequence[int]) -> ModeDerivatives:
+        """Those of some of the modes, at some of the rows, by their indices."""
+        some = replace(self, shapes=self.shapes[:, list(rows)][:, :, list(modes)], regular=self.regular[list(modes)])
+        columns = ("eigenvalue", "natural_freq", "damped_freq", "damping_ratio")
+        return replace(some, **{name: getattr(self, name)[:, list(modes)] for name in columns})
 
 
 class Analytic:
