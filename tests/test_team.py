@@ -339,12 +339,23 @@ def test_others_are_started_when_they_pay_off(timed):
 
 
 def test_calls_of_two_tasks_are_shared_too_once_they_took_long(timed):
-    with Team(2, patience=0.2) as one:
-        for _ in range(5):
-            one(timed.lasts, 0.05, range(2))
+    with Team(2, patience=0.5) as one:
+        for _ in range(2):
+            one(timed.lasts, 0.2, range(2))
             assert one._pool is None
-        one._seconds[timed.lasts] = 1.0
-        one(timed.lasts, 0.05, range(2))
+        one(timed.lasts, 0.2, range(2))
+        assert one._pool is not None
+
+
+def test_calls_that_are_not_worth_sending_start_no_process_however_many_they_are(timed):
+    with Team(2, patience=0.2) as one:
+        for _ in range(50):
+            one(timed.lasts, 0.05, range(2))
+        assert one._pool is None
+        one(timed.lasts, 0.2, range(2))
+        one(timed.who, None, range(9))  # after long ones, tasks of a function that nobody knows: the first one shows
+        assert one._pool is None
+        one(timed.lasts, 0.2, range(2))
         assert one._pool is not None
 
 

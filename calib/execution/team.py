@@ -103,17 +103,24 @@ class Team:
         try:
             return self._results(function, shared, items, told)
         finally:
-            self._spent += time.perf_counter() - began
+            if self._is_worth(function, len(items)):
+                self._spent += time.perf_counter() - began
+
+    def _is_worth(self, function: object, count: int) -> bool:
+        """Whether tasks are worth sending; those of a function that has not been called yet may be."""
+        return count > 1 and self._seconds.get(function, _WORTH) * count >= _WORTH
 
     def _results(self, function: Callable[[S, I], R], shared: S, items: Sequence[I], told: Told) -> list[R]:
         """Tasks of a call: together or alone; before others are started, the first one shows whether that pays off."""
         first: list[R] = []
-        if self._able and self._pool is None and self._spent < self._patience and len(items) > 1:
+        impatient = self._spent >= self._patience
+        known = impatient and (function in self._seconds or not self._patience)
+        if self._able and self._pool is None and not known and len(items) > 1:
             first, items = self._alone(function, shared, items[:1], told), items[1:]
-            if self._seconds[function] * (1 + len(items)) < self._patience + _TO_START:
+            if self._seconds[function] * (1 + len(items)) < (_WORTH if impatient else self._patience + _TO_START):
                 return first + self._alone(function, shared, items, lambda done: told(1 + done))
         own = (lambda done: told(1 + done)) if first else told
-        worth = len(items) > 1 and self._seconds.get(function, _WORTH) * len(items) >= _WORTH
+        worth = self._is_worth(function, len(items))
         ready = worth and self._able and can_be_sent(function) and function not in self._unsent
         content = self._written(function, shared, items) if ready else None
         numbers = None if content is None else self._submitted(content, len(items))
