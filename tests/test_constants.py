@@ -82,6 +82,7 @@ ACCURACY = {  # of solutions, reduced bases and differences, which are checked a
     "experiment/modal.py": "_MANY",
     "problem/differences.py": "STEP",
     "correlation/modal/problem.py": "DAMPING_MAX",
+    "correlation/modal/whole_solution.py": "_SAME",
     "structure/reduction/certificate.py": "_CLUSTER _LOST",
     "structure/eigenproblem/compression.py": "_BESIDE _COUPLED _NEAREST _STRONG _START _ROOTS _ABOVE _SAME _REACH "
     "_NEGLIGIBLE _PARALLEL",

@@ -61,7 +61,7 @@ def draw(
     """Draw the figures of a folder, and of the folders of its tests where there are several.
 
     The report is written on request, and where an older one exists; several tests have one together. Where figures are
-    not ``wanted``, those of older tables and their report are removed instead.
+    not ``wanted``, those of other tables are removed instead, and a report that shows such.
 
     Parameters
     ----------
@@ -103,10 +103,13 @@ def draw(
                 listener.drawn(one.study, paths or (), None)
             return
         if not (wanted or report):
-            for one, paths, earlier in zip(each, there, kept, strict=True):
-                if paths is None:
+            older = [one.outdated for one in kept]
+            if any(paths is not None for paths in older):
+                whole.folder.remove(REPORT)
+            for one, earlier, paths in zip(each, kept, older, strict=True):
+                if paths is not None:
+                    one.folder.remove(*(path.name for path in paths))
                     earlier.forget()
-                    one.folder.remove(REPORT, *_replaced(one.folder.path, (), everything=True))
             listener.not_drawn(study, root)
             return
         from calib.api.figures_made import make_all
@@ -115,7 +118,7 @@ def draw(
         with listener.progress() as step, places.tasks_shared(workers):
             for one, earlier in zip(each, kept, strict=True):
                 place, own = one.folder.path, one.results.figures
-                earlier.forget()
+                earlier.begin()
                 request = FigureRequest(write.pictures(one.results) if report else (), formats, width)
                 own.take(partial(make_all, own, request, step))
             place = whole.folder.path

@@ -51,7 +51,7 @@ class Study:
     quick : bool
         A quick run, with small searches; its results go to a sub-folder.
     figures : bool
-        Whether each analysis draws its tables. Where not, figures of older tables are removed; `report` draws all.
+        Whether each analysis draws its tables. Where not, those of older ones are removed; `run` and `report` draw all.
     listener : Listener
         Receives progress and results.
     read : Study, JointStudy or None
@@ -95,7 +95,8 @@ class Study:
 
         A study whose values it adopts is calibrated first, where it is not yet. A terminal or a notebook shows how far
         its analyses are, unless ``progress`` is false or a listener receives it. ``executor`` evaluates the points of
-        every analysis, see `run`; by default it is that of ``[compute]``. Without ``figures`` analyses draw none.
+        every analysis, see `run`; by default it is that of ``[compute]``. Without ``figures`` only `run` and `report`
+        draw.
         """
         receiver = listener or (Showing() if progress else Listener())
         study = Study(path_of(path, "study"), path_of(results, "results"), workers, quick, figures, receiver)

@@ -89,7 +89,9 @@ Workers = Annotated[
 ]
 NoFigures = Annotated[
     bool,
-    typer.Option("--no-figures", help="Draw none, which 'calib report' can do later; those of older tables go."),
+    typer.Option(
+        "--no-figures", help="Draw no figures; 'calib report' draws them later. Those of older tables are removed."
+    ),
 ]
 ExecutorName = Annotated[
     str | None,

@@ -19,6 +19,10 @@ from calib.errors.place import Place
 Function = Callable[[Mapping[str, float]], Mapping[str, float]]
 
 
+class NotSent(BaseException):
+    """A function that could not be sent to this process was called; never a failed point."""
+
+
 class PointWanted(BaseException):
     """A computation asks for a point that is not known yet; see `calib.execution.ahead.evaluated_together`."""
 
@@ -89,7 +93,7 @@ def attempt(function: Function, values: Mapping[str, float]) -> Outcome:
         error = next((f"the response {n!r} is {v}" for n, v in responses.items() if math.isinf(v)), "")
     except InputError as fault:
         raise fault.with_line(raised_at(fault)) from fault.__cause__
-    except (KeyboardInterrupt, PointWanted):
+    except (KeyboardInterrupt, PointWanted, NotSent):
         raise
     except MemoryError:
         error = OUT_OF_MEMORY

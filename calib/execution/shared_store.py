@@ -13,6 +13,7 @@ from typing import Any, BinaryIO, NamedTuple
 
 import numpy as np
 
+from calib.execution.outcome import NotSent
 from calib.execution.temporary import TemporaryFolder
 
 _LARGE = 1 << 15
@@ -82,10 +83,6 @@ class _Stored(NamedTuple):
     part: tuple[tuple[int, ...], int, tuple[int, ...]] | None = None
 
 
-class NotSent(BaseException):
-    """A function that could not be sent was called; no fault of a model, so that nobody takes it for one."""
-
-
 def can_be_sent(thing: object) -> bool:
     """Whether another process finds a function by its name: not one defined in another function, or without a name."""
     return not isinstance(thing, FunctionType) or "<" not in thing.__qualname__
@@ -105,7 +102,7 @@ class _StandIn:
 class _Pickler(pickle.Pickler):
     """Pickles an object with paths in place of its large arrays, and stand-ins for functions that cannot be sent.
 
-    Most tasks call none of them: the effects that a model has are built before.
+    Most tasks call none of them: effects are built into the model before it is sent.
     """
 
     def __init__(self, file: io.BytesIO, place: Callable[[np.ndarray], Path]):

@@ -16,7 +16,8 @@ from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
-from calib.execution.shared_store import NotSent, SharedStore, can_be_sent, read
+from calib.execution.outcome import NotSent
+from calib.execution.shared_store import SharedStore, can_be_sent, read
 from calib.execution.tasks import I, R, S, Told, one_thread, unreported
 
 _MOST = 1024

@@ -202,6 +202,9 @@ class ModelHypotheses(Generic[P]):
     _failures: dict[str, Failure] = field(init=False, repr=False, default_factory=dict)
     _proven: set[str] = field(init=False, repr=False, default_factory=set)
 
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_pairs": {}}  # numbers of objects are those of this process
+
     @property
     def effects(self) -> tuple[Effect, ...]:
         """Named candidates."""

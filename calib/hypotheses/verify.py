@@ -179,14 +179,14 @@ def modal_errors(
     residual = ModalResidual(fitted, floors, faults=tuple(faults))
     found = residual.solve(values, solved)
     vector = residual.of(found) / scale
-    known = None
+    known, slopes = None, None
     if whole is not None and not faults and not held_sd:
         known = WholeSolution.of(fitted, whole, values, names, floors, solved=found.modes)
-        jacobian = residual.slope_of(found, names, known.of_used(residual, found))
-    elif faults:
+        slopes = known.of_used(residual, found)
+    if faults:
         jacobian = residual.slope(values, names, lambda at: found if dict(at) == dict(values) else residual.solve(at))
     else:
-        jacobian = residual.slope_of(found, names, residual.derivatives(found, names))
+        jacobian = residual.slope_of(found, names, residual.derivatives(found, names) if slopes is None else slopes)
     jacobian = jacobian / scale
     others = rows_beside(others, len(names), len(held_sd))
     modes = [row.mode for row in residual.rows]

@@ -27,6 +27,11 @@ def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
     ----------
     requests : iterable of (problem, values)
         Problems of one test, of several, or with altered rows, and named values at which their residuals will be asked.
+
+    Raises
+    ------
+    InputError
+        That of a model that refuses a value; a point without a solution is told to the one who asks for it.
     """
     if not are_shared() or is_collecting():
         return
@@ -54,9 +59,7 @@ def _points(problem: Any, values: Mapping[str, float]) -> Iterator[Point]:
         yield from _points(part, own)
 
 
-def _solved(
-    pairs: Mapping[int, Any], requested: tuple[int, Mapping[str, float]]
-) -> bytes | EvaluationError:  # as bytes: with its model a solution has hundreds of megabytes
+def _solved(pairs: Mapping[int, Any], requested: tuple[int, Mapping[str, float]]) -> bytes | EvaluationError:
     number, values = requested
     pair = pairs[number]
     try:
@@ -64,31 +67,36 @@ def _solved(
     except EvaluationError as fault:
         return fault
     content = io.BytesIO()
-    _Pickler(content, pair.problem.model).dump(solution)
+    _Pickler(content, _known(pair)).dump(solution)
     return content.getvalue()
 
 
 def _read(content: bytes, pair: Any) -> Any:
-    return _Unpickler(io.BytesIO(content), pair.problem.model).load()
+    return _Unpickler(io.BytesIO(content), _known(pair)).load()
+
+
+def _known(pair: Any) -> tuple[object, ...]:
+    """What solutions of a pair hold and every process has: hundreds of megabytes of a model, and the measurement."""
+    return pair.problem.model, getattr(pair.problem, "measured", None)
 
 
 class _Pickler(pickle.Pickler):
-    """Pickles a solution without its model."""
+    """Pickles a solution without what every process has."""
 
-    def __init__(self, file: io.BytesIO, model: object):
+    def __init__(self, file: io.BytesIO, known: tuple[object, ...]):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
-        self._model = model
+        self._known = {id(thing): k for k, thing in enumerate(known) if thing is not None}
 
-    def persistent_id(self, obj: object) -> str | None:
-        return "model" if obj is self._model else None
+    def persistent_id(self, obj: object) -> int | None:
+        return self._known.get(id(obj))
 
 
 class _Unpickler(pickle.Unpickler):
-    """Reads what `_Pickler` wrote, with the model of this process."""
+    """Reads what `_Pickler` wrote, with what this process has."""
 
-    def __init__(self, file: io.BytesIO, model: object):
+    def __init__(self, file: io.BytesIO, known: tuple[object, ...]):
         super().__init__(file)
-        self._model = model
+        self._known = known
 
-    def persistent_load(self, pid: object) -> object:
-        return self._model
+    def persistent_load(self, pid: int) -> object:
+        return self._known[pid]

@@ -51,19 +51,26 @@ def row(table, group):
     return table.set_index("group").loc[group]
 
 
+@pytest.mark.parametrize("more", [0, 4])
 @pytest.mark.parametrize("damped", [True, False])
-def test_one_solution_gives_the_derivatives_of_used_and_of_all_data(build, twin, damped):
+def test_one_solution_gives_the_derivatives_of_used_and_of_all_data(build, twin, damped, more):
+    """Also where the held-out modes ask for further modes: a solution of another count may give other signs."""
     model, every = measured(build, twin, damped)
     fitted, whole = split(model, every)
+    whole = dataclasses.replace(whole, mode_count=whole.mode_count + more)
     names = NAMES if damped else ("k_along", "k_across", "mass")
     residual, values = ModalResidual(fitted, NONE), {**model.space.values, **TRUTH, "mass": 10.7}
     found = residual.solve(values)
-    known = WholeSolution.of(fitted, whole, values, names, NONE, solved=found.modes)
-    own, used = residual.derivatives(found, names), known.of_used(residual, found)
-    for field in ("eigenvalue", "shapes", "natural_freq", "damped_freq", "damping_ratio"):
-        expected = getattr(own, field)
-        np.testing.assert_allclose(getattr(used, field), expected, atol=1e-6 * np.abs(expected).max())
-    assert used.names == own.names and used.regular.tolist() == own.regular.tolist()
+    flipped = dataclasses.replace(found.modes, shapes=found.modes.shapes * [-1, 1, -1, 1, 1, -1, 1, 1])
+    for used in (found, residual.solve(values, flipped)):
+        known = WholeSolution.of(fitted, whole, values, names, NONE, solved=found.modes)
+        own, other = residual.derivatives(used, names), known.of_used(residual, used)
+        for field in ("eigenvalue", "shapes", "natural_freq", "damped_freq", "damping_ratio"):
+            expected = getattr(own, field)
+            np.testing.assert_allclose(getattr(other, field), expected, atol=1e-6 * np.abs(expected).max())
+        assert other.names == own.names and other.regular.tolist() == own.regular.tolist()
+    grouped = dataclasses.replace(found, modes=dataclasses.replace(found.modes, groups=((0, 1),)))
+    assert known.of_used(residual, grouped) is None
     v = np.diag(np.full(len(names), 1e-4))
     one = held_out_errors(fitted, whole, values, names, v, NONE, known=known)
     pd.testing.assert_frame_equal(one, held_out_errors(fitted, whole, values, names, v, NONE), rtol=1e-6)

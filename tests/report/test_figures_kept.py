@@ -111,7 +111,7 @@ def noted(tmp_path):
     pictures = [results._write(f"{name}.png", name) for name in ("modes", "comparison")]
     now = KeptFigures(CurrentFolder(tmp_path, frozenset()), ("Mast", True))
     assert now.there is None
-    now.forget()
+    now.begin()
     now.note(pictures)
     assert now.there == pictures
     return results
@@ -138,13 +138,15 @@ def test_a_folder_is_known_as_drawn_until_what_decides_its_pictures_changes(note
     assert there() is None
 
 
-@pytest.mark.parametrize("damage", ["edited", "gone", "forgotten", "torn"])
+@pytest.mark.parametrize("damage", ["edited", "gone", "begun", "forgotten", "torn"])
 def test_a_folder_whose_picture_or_note_is_not_as_written_is_drawn(noted, damage):
     now = KeptFigures(CurrentFolder(noted.path, frozenset()), ("Mast", True))
     if damage == "edited":
         (noted.path / "modes.png").write_text("edited")
     elif damage == "gone":
         (noted.path / "modes.png").unlink()
+    elif damage == "begun":
+        now.begin()
     elif damage == "forgotten":
         now.forget()
     else:
@@ -154,7 +156,25 @@ def test_a_folder_whose_picture_or_note_is_not_as_written_is_drawn(noted, damage
 
 def test_tables_that_change_while_they_are_drawn_are_drawn_again(noted):
     now = KeptFigures(CurrentFolder(noted.path, frozenset()), ("Mast", True))
-    now.forget()
+    now.begin()
     (noted.path / "modes.csv").write_text("mode\n2BT\n")
     now.note([noted.path / "modes.png"])
     assert KeptFigures(now.folder, now.looks).there is None
+
+
+def test_pictures_of_other_tables_are_outdated_whatever_they_look_like(noted):
+    folder = noted.path
+    noted._write("anthill.png", "asked for by name")
+
+    def outdated(looks=("Mast", True)):
+        found = KeptFigures(CurrentFolder(folder, frozenset()), looks).outdated
+        return None if found is None else {path.name for path in found}
+
+    assert outdated() is outdated(("Tower", True)) is None
+    (folder / "modes.csv").write_text("mode\n2BT\n")
+    (folder / "mine.png").write_bytes(b"of the user")
+    assert outdated() == {"modes.png", "comparison.png"}
+    KeptFigures(CurrentFolder(folder, frozenset()), ()).begin()  # nobody knows what an interrupted drawing has left
+    assert outdated() == {"modes.png", "comparison.png", "anthill.png"}
+    KeptFigures(CurrentFolder(folder, frozenset()), ()).forget()
+    assert outdated() is None

@@ -15,6 +15,9 @@ from calib.errors.errors import InputError
 from calib.structure.eigenproblem.derivatives import ModeDerivatives
 from calib.structure.modes import Modes
 
+_SAME = 1e-4
+"""Relative difference up to which shapes of two solutions of one model are the same but for rounding."""
+
 
 @dataclass(frozen=True, eq=False)
 class WholeSolution:
@@ -36,22 +39,42 @@ class WholeSolution:
         fitted: ModalProblem, whole: ModalProblem, values: Mapping[str, float], names: Sequence[str],
         floors: Floors, pool: bool | None = None, solved: Modes | None = None,
     ) -> WholeSolution:  # fmt: skip
-        """At fitted values; the arguments are those of `held_out_errors`."""
+        """At fitted values; arguments and errors are those of `held_out_errors`."""
         used_data(fitted, whole)
         found = _joined(fitted, whole, values, solved)
         return WholeSolution(found, ModalResidual(whole, floors, pool).derivatives(found, names))
 
-    def of_used(self, residual: ModalResidual, used: Comparison) -> ModeDerivatives:
-        """Derivatives as `ModalResidual.derivatives` gives them for the used data and their comparison."""
+    def of_used(self, residual: ModalResidual, used: Comparison) -> ModeDerivatives | None:
+        """Derivatives of the used data and their comparison, as `ModalResidual.derivatives` gives them.
+
+        Both comparisons have the same modes but for their signs. None where they have not: modes of nearly equal
+        frequency are turned to what was measured, which differs.
+        """
         columns = {int(j): k for k, j in enumerate(_partners(self.found))}
+        partners = [int(j) for j in _partners(used)]
+        signs = _signs(used.modes, self.found.modes, partners)
+        if signs is None or not columns.keys() >= set(partners):
+            return None
         sensors = [sensor.name for sensor in self.found.measured.sensors]
         rows = [sensors.index(s.name) for s in residual.problem.measured.sensors] if residual.n_fitted_factors else []
-        return self.slopes.of([columns[int(j)] for j in _partners(used)], rows)
+        found = self.slopes.of([columns[j] for j in partners], rows)
+        return replace(found, shapes=found.shapes * signs)
 
 
 def _partners(found: Comparison) -> np.ndarray:
     """Model modes of the measured modes that have one."""
     return found.pairing.model_index[found.pairing.paired]
+
+
+def _signs(one: Modes, other: Modes, which: Sequence[int]) -> np.ndarray | None:
+    """Signs by which shapes of two solutions differ, (len(which),); None where more than the sign differs."""
+    turned = {j for group in (*one.groups, *other.groups) for j in group}
+    if turned.intersection(which):
+        return None
+    shapes, others = one.shapes[:, which], other.shapes[:, which]
+    signs = np.where(np.real(np.sum(shapes.conj() * others, axis=0)) < 0, -1.0, 1.0)
+    differ = np.linalg.norm(signs * others - shapes, axis=0) > _SAME * np.linalg.norm(shapes, axis=0)
+    return None if differ.any() else signs
 
 
 def used_data(fitted: ModalProblem, whole: ModalProblem) -> tuple[tuple[str, ...], tuple[str, ...]]:

@@ -83,7 +83,7 @@ class ModeDerivatives:
     regular: np.ndarray
 
     def of(self, modes: Sequence[int], rows: Sequence[int]) -> ModeDerivatives:
-        """Those of some of the modes, at some of the rows, by their indices."""
+        """Those of some modes, at some of the rows of shapes, by their indices; rows may be none."""
         some = replace(self, shapes=self.shapes[:, list(rows)][:, :, list(modes)], regular=self.regular[list(modes)])
         columns = ("eigenvalue", "natural_freq", "damped_freq", "damping_ratio")
         return replace(some, **{name: getattr(self, name)[:, list(modes)] for name in columns})
