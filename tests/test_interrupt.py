@@ -122,6 +122,7 @@ def test_a_thread_that_never_ends_keeps_no_process():
     assert child(0.0, work=work) == (3, "the answer\n", f"calib: {interrupt.LEFT_RUNNING}\n")
 
 
+@pytest.mark.medium
 def test_a_process_that_is_only_slow_to_end_has_left_nothing_running():
     """As on a busy machine: the words would send a user to look for a fault of the model."""
     work = ("import atexit", "atexit.register(lambda: (time.sleep(1.5), say('all closed')))", "say('the answer')")

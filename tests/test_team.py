@@ -197,6 +197,7 @@ def test_the_same_array_is_written_once_and_a_dropped_one_is_deleted(two, module
     assert files[0] == files[1] and files[1] & files[2] == set() and len(files[2]) == 1
 
 
+@pytest.mark.medium
 def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken_for_it(two, module):
     for value in (1.0, 2.0, 3.0):  # CPython gives a new array the number of one that has gone
         matrix = np.full((90, 90), value)
@@ -268,6 +269,7 @@ def test_a_function_that_cannot_be_sent_stays_here_and_what_holds_it_is_sent(two
     assert [item for item, _ in found] == list(range(6)) and len({who for _, who in found}) == 2
 
 
+@pytest.mark.medium
 def test_a_task_that_calls_a_function_that_could_not_be_sent_is_done_here(module, meeting):
     with Team(2) as one:
         ready(one, module, new(meeting))

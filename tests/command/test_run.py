@@ -57,6 +57,7 @@ def heads(out: str) -> list[str]:
     return [line.split(": ")[1].split("  ")[0] for line in out.splitlines() if line.endswith("[synthetic measurement]")]
 
 
+@pytest.mark.medium
 def test_what_is_named_is_added_and_held_out_errors_fall(within):
     study = LoadedStudy.load(FOLDER / "mast_extended")
     assert study.settings.with_effects == ("guy",) and "guy" in study.search_space.free_names
@@ -84,6 +85,7 @@ def test_what_is_named_is_added_and_held_out_errors_fall(within):
     assert modes["held_out"]["B3x"] and abs(modes["error_after"]["B1x"]) < abs(modes["error_before"]["B1x"])
 
 
+@pytest.mark.medium
 def test_the_output_is_in_order_with_its_numbers(within):
     verbs = ["run", "compare", "sensitivity", "calibrate", "explain", "extend", "calibrate", "before and after"]
     assert heads(within) == verbs

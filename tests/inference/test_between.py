@@ -135,6 +135,7 @@ def specimens(spread):
     return calib.Problem(held["bar"](), tests), bars, data
 
 
+@pytest.mark.medium
 def test_specimens_of_own_length_share_a_spring_and_have_a_modulus_each():
     problem, bars, _ = specimens(0.04)
     fit = problem.calibrate(varies=["E"], method="gauss-newton", starts=1, progress=False)

@@ -80,6 +80,7 @@ def test_a_linear_model_has_the_posterior_of_the_closed_form(fitted):
     np.testing.assert_allclose(table.loc[list(NAMES), "data_share"], share, rtol=1e-6)
 
 
+@pytest.mark.medium
 def test_profiles_and_samples_of_the_posterior_are_those_of_the_closed_form(fitted):
     mean, covariance = closed_form()
     found = fitted.intervals(progress=False).table.set_index("parameter")
@@ -91,6 +92,7 @@ def test_profiles_and_samples_of_the_posterior_are_those_of_the_closed_form(fitt
     np.testing.assert_allclose(np.cov(drawn[list(NAMES)].T), covariance, atol=0.06 * np.diag(covariance).max())
 
 
+@pytest.mark.medium
 def test_sampled_posteriors_are_those_of_the_closed_form(fitted):
     pytest.importorskip("emcee")
     mean, covariance = closed_form()

@@ -65,6 +65,7 @@ def test_more_than_four_are_not_told_as_all(faulty):
     assert found.remains or found.verdict in ("none_explains", "misfit_unlocated", "partial")
 
 
+@pytest.mark.medium
 def test_of_two_faults_alike_the_other_is_granted_where_the_first_leaves_something(faulty, monkeypatch):
     """F2 has most of the pattern of F3 and a part of E1's, so that it stands out while E1 is missing."""
     made = faulty()

@@ -186,6 +186,7 @@ def test_a_column_has_the_searches_with_their_stability_below_the_names(paramete
     assert unstable and {name for name, label in zip(names, labels, strict=True) if "not stable" in label} == unstable
 
 
+@pytest.mark.medium
 def test_a_column_has_the_worst_sensors_and_measured_frequencies_alone(modes):
     names = [f"{k}y" for k in range(30)]
     ax = in_a_column(lambda: draw_comac(pd.DataFrame({"sensor": names, "comac": np.linspace(0.2, 1.0, 30)})))

@@ -46,6 +46,7 @@ def test_many_responses_keep_their_names_and_of_very_many_no_value_is_written(co
     assert len(written) == (2 * count - 1 if 2 * count - 1 <= 30 else 0)
 
 
+@pytest.mark.medium
 def test_values_and_names_of_many_responses_stand_clear_of_axes_legend_and_each_other():
     names = [f"response_{k}" for k in range(11)]
     error = np.array([-0.09, 0.48, *np.full(9, 0.002)])

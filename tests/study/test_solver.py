@@ -134,6 +134,7 @@ def test_missing_and_damaged_results_are_failures(tmp_path):
             solver(tmp_path, more).modes({}, 2)
 
 
+@pytest.mark.medium
 def test_a_run_beyond_the_time_limit_is_ended_with_all_that_it_started(tmp_path):
     more = f"""
 import subprocess, time

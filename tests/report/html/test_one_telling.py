@@ -75,6 +75,7 @@ def test_the_mean_error_has_one_value_and_one_rounding(everything, results):
     assert not any("%" in t.get_text() for t in every.get_legend().get_texts())  # held-out modes have another mean
 
 
+@pytest.mark.medium
 def test_the_viewer_opens_with_the_stage_of_its_section(everything, results, blocks):
     shapes = blocks(everything, Viewer)["viewer"]
     assert [stage["name"] for stage in scene(results)["stages"]] == ["before calibration", "after calibration"]
