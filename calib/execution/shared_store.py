@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import io
 import pickle
 import weakref
 from collections.abc import Callable
@@ -46,7 +45,7 @@ class SharedStore:
 
     def written(self, content: object) -> Path:
         """File of a content, without its large arrays; files of the call before that are not needed are deleted."""
-        buffer, arrays, files = io.BytesIO(), dict[int, tuple[weakref.ref[np.ndarray], Path]](), set[Path]()
+        arrays, files = dict[int, tuple[weakref.ref[np.ndarray], Path]](), set[Path]()
 
         def place(array: np.ndarray) -> Path:
             known, path = arrays.get(id(array)) or self._kept.get(id(array)) or (None, None)
@@ -60,8 +59,8 @@ class SharedStore:
 
         files.add(whole := self.file(".pickle"))
         try:
-            _Pickler(buffer, place).dump(content)
-            whole.write_bytes(buffer.getbuffer())
+            with whole.open("wb") as file:  # not in memory: models have hundreds of thousands of small parts
+                _Pickler(file, place).dump(content)
         except BaseException:  # a full disk must not stay full
             _deleted(files - self._files)
             raise
@@ -105,7 +104,7 @@ class _Pickler(pickle.Pickler):
     Most tasks call none of them: effects are built into the model before it is sent.
     """
 
-    def __init__(self, file: io.BytesIO, place: Callable[[np.ndarray], Path]):
+    def __init__(self, file: BinaryIO, place: Callable[[np.ndarray], Path]):
         super().__init__(file, protocol=pickle.HIGHEST_PROTOCOL)
         self._place = place
 

@@ -206,6 +206,11 @@ class ModelHypotheses(Generic[P]):
         return {**self.__dict__, "_pairs": {}}  # numbers of objects are those of this process
 
     @property
+    def models(self) -> int:
+        """Number of models with effects that were built so far."""
+        return len(self._pairs)
+
+    @property
     def effects(self) -> tuple[Effect, ...]:
         """Named candidates."""
         return tuple(e for e in self.variants.effects if e.name not in self.without)

@@ -15,6 +15,8 @@ from calib.problem.problem import PairProblem
 
 Point = tuple[PairProblem[Any], dict[str, float]]
 """A problem, and values of all parameters of its pair."""
+_MODELS = 2
+"""Models that are sent at once: dozens of them would take as much memory as a decision."""
 
 
 def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
@@ -41,6 +43,14 @@ def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
             key = point_key(complete)
             if not own.knows(key):
                 wanted.setdefault((id(own), key), (own, complete))
+    owners = list(dict.fromkeys(number for number, _ in wanted))
+    for first in range(0, len(owners), _MODELS):
+        some = owners[first : first + _MODELS]
+        _solve({one: point for one, point in wanted.items() if one[0] in some})
+
+
+def _solve(wanted: Mapping[tuple[int, str], Point]) -> None:
+    """Solve points of a few problems; a single point is left to the one who asks."""
     if len(wanted) < 2:
         return
     pairs = {number: own.pair for (number, _), (own, _) in wanted.items()}
