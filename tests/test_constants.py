@@ -177,7 +177,6 @@ SPEED = {  # memory, time, processes; results are the same
     "structure/eigenproblem/compression.py": "_WORTHWHILE",
     "structure/effects/part_compositions.py": "_FEW",
     "structure/elongations.py": "MOST_MOTIONS _SMALL",
-    "hypotheses/design/imagined.py": "_MODELS",
     "structure/eigenproblem/derivatives.py": "_ENTRIES _FEW",
     "structure/eigenproblem/mode_systems.py": "_AT_ONCE",
     "problem/shared_points.py": "_MODELS",

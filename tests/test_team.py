@@ -102,9 +102,7 @@ def adder(size):
 
 
 def carries(shared, item):
-    function, folder = shared
-    if folder is not None:
-        meet(folder)
+    meet(shared[1])
     return item, os.getpid()
 
 
@@ -188,15 +186,6 @@ def test_results_are_those_of_one_process_in_the_order_of_the_items(two, module,
     assert told[0] == 0 and sorted(told) == told and told[-1] < 30
 
 
-def test_the_same_array_is_written_once_and_a_dropped_one_is_deleted(two, module):
-    first, second = np.ones((90, 90)), np.full((90, 90), 2.0)
-    files = []
-    for matrix in (first, first, second):
-        two(module.product, (matrix, 0), range(40))
-        files.append({path.name for path in two._store.file("").parent.glob("*.npy")})
-    assert files[0] == files[1] and files[1] & files[2] == set() and len(files[2]) == 1
-
-
 @pytest.mark.medium
 def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken_for_it(two, module):
     for value in (1.0, 2.0, 3.0):  # CPython gives a new array the number of one that has gone
@@ -207,32 +196,6 @@ def test_what_a_call_shared_is_not_kept_in_memory_and_a_new_array_is_never_taken
         del matrix
         gc.collect()
         assert gone() is None
-        assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
-
-
-def test_files_of_a_call_that_could_not_be_written_are_deleted(two, module, monkeypatch):
-    folder = two._store.file("").parent
-    two(module.product, (np.ones((90, 90)), 0), range(40))
-    before = {path.name for path in folder.iterdir()}
-
-    def full(path, content, allow_pickle):
-        path.touch()
-        raise OSError(28, "no space left")
-
-    with monkeypatch.context() as patched:
-        patched.setattr(np, "save", full)
-        with pytest.raises(OSError, match="space"):
-            two._store.written((module.product, np.full((90, 90), 2.0)))
-    assert {path.name for path in folder.iterdir()} == before
-
-
-def test_parts_of_one_array_are_stored_once_whatever_their_strides(two, module, meeting):
-    whole = np.random.default_rng(2).standard_normal((120, 110))
-    parts = [whole[:100, :100], whole[5:105, 3:103], whole[::-1][:100, :100].T]
-    for part in parts:
-        own = in_this_process(module.product, (part, None), range(30))
-        both = two(module.product, (part, new(meeting)), range(30))
-        assert all(mine[1].tobytes() == theirs[1].tobytes() for mine, theirs in zip(own, both, strict=True))
         assert len(list(two._store.file("").parent.glob("*.npy"))) == 1
 
 
@@ -275,9 +238,6 @@ def test_a_task_that_calls_a_function_that_could_not_be_sent_is_done_here(module
     with Team(2) as one:
         ready(one, module, new(meeting))
         assert one(module.calls, (module.adder(2), new(meeting)), range(6)) == [2, 3, 4, 5, 6, 7]
-        (last := new(meeting)).joinpath("other").touch()
-        (last / "another").touch()
-        assert one(module.calls, (module.adder(3), last), range(6)) == [3, 4, 5, 6, 7, 8]
         assert module.calls in one._unsent and one.shares
 
 

@@ -203,12 +203,8 @@ class ModelHypotheses(Generic[P]):
     _proven: set[str] = field(init=False, repr=False, default_factory=set)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {**self.__dict__, "_pairs": {}}  # numbers of objects are those of this process
-
-    @property
-    def models(self) -> int:
-        """Number of models with effects that were built so far."""
-        return len(self._pairs)
+        # A decision builds hundreds; a task brings the problems that it needs.
+        return {**self.__dict__, "_pairs": {}, "_fit_problems": {}}
 
     @property
     def effects(self) -> tuple[Effect, ...]:

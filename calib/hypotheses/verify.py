@@ -182,7 +182,7 @@ def modal_errors(
     known, slopes = None, None
     if whole is not None and not faults and not held_sd:
         known = WholeSolution.of(fitted, whole, values, names, floors, solved=found.modes)
-        slopes = known.of_used(residual, found)
+        slopes = known.derivatives_of_used(residual, found)
     if faults:
         jacobian = residual.slope(values, names, lambda at: found if dict(at) == dict(values) else residual.solve(at))
     else:

@@ -314,15 +314,15 @@ class PairProblem(Generic[P]):
         """The solution while points are collected: kept for the request that follows, and not counted before it."""
         if key in self._failed:
             raise raised_anew(self._failed[key])
-        if not self.knows(key):
-            self.foresee(key, self.pair.solve(values))
+        if not self.is_known(key):
+            self.keep_ahead(key, self.pair.solve(values))
         return self._solved[key] if key in self._solved else self._early[key]
 
-    def knows(self, key: str) -> bool:
+    def is_known(self, key: str) -> bool:
         """Whether a point has been solved, or has failed."""
         return key in self._solved or key in self._early or key in self._failed
 
-    def foresee(self, key: str, found: Any) -> None:
+    def keep_ahead(self, key: str, found: Any) -> None:
         """Keep a solution, or the EvaluationError of a point that has none, for the request that follows."""
         if isinstance(found, EvaluationError):
             self._failed[key] = found

@@ -41,7 +41,7 @@ def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
     for problem, values in requests:
         for own, complete in _points(problem, values):
             key = point_key(complete)
-            if not own.knows(key):
+            if not own.is_known(key):
                 wanted.setdefault((id(own), key), (own, complete))
     owners = list(dict.fromkeys(number for number, _ in wanted))
     for first in range(0, len(owners), _MODELS):
@@ -56,7 +56,7 @@ def _solve(wanted: Mapping[tuple[int, str], Point]) -> None:
     pairs = {number: own.pair for (number, _), (own, _) in wanted.items()}
     found = each(_solved, pairs, [(number, complete) for (number, _), (_, complete) in wanted.items()])
     for ((_, key), (own, _)), answer in zip(wanted.items(), found, strict=True):
-        own.foresee(key, answer if isinstance(answer, EvaluationError) else _read(answer, own.pair))
+        own.keep_ahead(key, answer if isinstance(answer, EvaluationError) else _read(answer, own.pair))
 
 
 def _points(problem: Any, values: Mapping[str, float]) -> Iterator[Point]:

@@ -64,13 +64,13 @@ def test_one_solution_gives_the_derivatives_of_used_and_of_all_data(build, twin,
     flipped = dataclasses.replace(found.modes, shapes=found.modes.shapes * [-1, 1, -1, 1, 1, -1, 1, 1])
     for used in (found, residual.solve(values, flipped)):
         known = WholeSolution.of(fitted, whole, values, names, NONE, solved=found.modes)
-        own, other = residual.derivatives(used, names), known.of_used(residual, used)
+        own, other = residual.derivatives(used, names), known.derivatives_of_used(residual, used)
         for field in ("eigenvalue", "shapes", "natural_freq", "damped_freq", "damping_ratio"):
             expected = getattr(own, field)
             np.testing.assert_allclose(getattr(other, field), expected, atol=1e-6 * np.abs(expected).max())
         assert other.names == own.names and other.regular.tolist() == own.regular.tolist()
     grouped = dataclasses.replace(found, modes=dataclasses.replace(found.modes, groups=((0, 1),)))
-    assert known.of_used(residual, grouped) is None
+    assert known.derivatives_of_used(residual, grouped) is None
     v = np.diag(np.full(len(names), 1e-4))
     one = held_out_errors(fitted, whole, values, names, v, NONE, known=known)
     pd.testing.assert_frame_equal(one, held_out_errors(fitted, whole, values, names, v, NONE), rtol=1e-6)

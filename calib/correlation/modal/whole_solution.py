@@ -44,7 +44,7 @@ class WholeSolution:
         found = _joined(fitted, whole, values, solved)
         return WholeSolution(found, ModalResidual(whole, floors, pool).derivatives(found, names))
 
-    def of_used(self, residual: ModalResidual, used: Comparison) -> ModeDerivatives | None:
+    def derivatives_of_used(self, residual: ModalResidual, used: Comparison) -> ModeDerivatives | None:
         """Derivatives of the used data and their comparison, as `ModalResidual.derivatives` gives them.
 
         Both comparisons have the same modes but for their signs. None where they have not: modes of nearly equal

@@ -21,8 +21,6 @@ from calib.missing.score import Scores
 from calib.problem.candidate import Candidate
 from calib.problem.problem import Counts, PairProblem
 
-_MODELS = 32
-"""Models with effects up to which samples are shared: all that a decision has built are sent, as much memory again."""
 _TRIES = 200
 """Attempts to draw a sample inside the limits before it is moved onto them."""
 
@@ -85,8 +83,7 @@ def imagined_linearisations(
     for one in believed:  # built here, so that no other process needs to
         for names in (one.names, *((*one.names, name) for name, point in _points(one, effects, found) if point)):
             imagined.fit_problem(names)
-    few = imagined.hypotheses.models <= _MODELS
-    tasks = each if few and _shareable(imagined) else in_this_process
+    tasks = each if _shareable(imagined) else in_this_process
     done = tasks(
         _linearisation, (imagined, believed, effects, found, scale), requested,
         lambda number: progress("what to measure next", number, len(requested)),

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 from calib.errors.errors import InputError
 from calib.problem.effect import Effect
@@ -35,6 +36,9 @@ class Variants:
     perturbations: tuple[Effect, ...]
     basis: Basis | None = None
     _made: dict[tuple[str, ...], StructuralModel | ReducedModel] = field(init=False, repr=False, default_factory=dict)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "_made": {}}  # dozens of models, which are made again where they are needed
 
     @cached_property
     def _added(self) -> dict[str, int]:
