@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from calib.errors.errors import InputError
+from calib.execution.outcome import NotSent
+from calib.execution.shared_store import SharedStore, read
 from calib.problem.effect import Effect
 from calib.problem.space import Parameter
 from calib.structure.affine import parameter
@@ -65,6 +67,16 @@ def test_modes_are_those_of_the_model_with_just_these(variants, names):
     found, expected = variants.with_effects(names).modes(values, 7), alone.modes(values, 7)
     np.testing.assert_allclose(found.natural_freq, expected.natural_freq, rtol=1e-8)
     np.testing.assert_allclose(found.damping_ratio, expected.damping_ratio, rtol=1e-6)
+
+
+def test_models_that_were_built_are_not_sent(variants):
+    built = variants.with_effects(("h1", "h2"))
+    store = SharedStore()
+    sent, own = read(store.written((variants, built)))
+    store.close()
+    assert own.n_dof == N + 3 and sent.with_effects(("s1",)).n_dof == N  # that of all effects without them is sent
+    with pytest.raises(NotSent):  # what builds it stays here, so that its task is done here
+        sent.with_effects(("h1", "h2"))
 
 
 def test_an_unknown_effect_is_refused(variants):
