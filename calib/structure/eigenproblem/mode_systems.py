@@ -26,7 +26,7 @@ REPEATED = 1e-7
 """Eigenvalues closer than this fraction of their modulus count as repeated; single shapes have no derivative."""
 
 _AT_ONCE = 4_000_000
-"""Largest number of entries, of all parameters, degrees of freedom and modes, that are multiplied together."""
+"""Largest number of entries, of all parameters, degrees of freedom and modes, that are multiplied together: 64 MB."""
 
 _FREE = 1e-4
 """Shift of the factor that finds rigid-body motions, over the lowest squared frequency."""
