@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import time
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
@@ -22,6 +23,7 @@ from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
 from calib.analyses.uncertain import uncertain_note
 from calib.errors.errors import EvaluationError, InputError
+from calib.execution.memory import giving_back
 from calib.execution.outcome import as_cause, failure
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.discretisation_error import mesh_words
@@ -106,7 +108,7 @@ def explanation_of(
 
     ``begin`` are the values of a calibration, from which the fit of the model as it is begins.
     """
-    tests = study.studies
+    tests, progress = study.studies, giving_back(progress)
     require_usable([(one.model, one.candidates) for one in tests], str(study.file))
     pairs = {one.test: one.pair for one in tests}
     require_enough(JointRows(pairs).rows, len(study.search_space.free))
@@ -119,11 +121,15 @@ def explanation_of(
         grown = adapter.covering([decided.base])
         if grown is not adapter:  # what the effects change there is not in it either
             near = decided.base.fit.values
+            del adapter, grown, decided
+            gc.collect()
             adapter = adapter_for(study, None, progress, homes, near)
         elif (grown := adapter.covering(decided.every)) is adapter:
             break
         else:
             adapter = grown
+            del grown, decided
+            gc.collect()  # models of a decision, which refer to each other, go before others are built
         decided = decision(adapter, settings, study.file, progress, near)
     adapter, decided = decision_in_detail(adapter, decided, settings, study.file, progress)
     answer = explain_tests(adapter, decided, started, mesh_words(mesh_sd), progress, _doubts(tests))

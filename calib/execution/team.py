@@ -16,6 +16,7 @@ from threadpoolctl import threadpool_limits
 
 from calib.errors.errors import InputError
 from calib.execution import interrupt, tasks, worker
+from calib.execution.memory import FreedMemory
 from calib.execution.outcome import NotSent
 from calib.execution.shared_store import SharedStore, can_be_sent, read
 from calib.execution.tasks import I, R, S, Told, one_thread, unreported
@@ -85,6 +86,11 @@ class Team:
             store, self._store = self._store, None
             if store is not None:
                 store.close()
+
+    @property
+    def processes(self) -> int:
+        """Processes that do tasks, this one included, once the others have been started."""
+        return self.workers if self._able else 1
 
     @property
     def shares(self) -> bool:
@@ -293,6 +299,7 @@ class _Helper:
     limits: object = None
     path: Path | None = None
     content: tuple[Callable[..., Any], Any, Sequence[Any]]
+    memory = FreedMemory()
 
 
 def _start(board: _Board) -> None:
@@ -311,6 +318,7 @@ def _task(call: int, number: int, path: Path) -> _Done | _Lost | None:
     begun = False
     try:
         if _Helper.path != path:
+            _Helper.memory.give_back()
             _Helper.content = read(path)
             _Helper.path = path
             _Helper.limits = threadpool_limits(1)  # of libraries loaded meanwhile

@@ -1,5 +1,7 @@
 """Least squares on a basis that grows where fits end: the same optimum as at full order, for few solutions of it."""
 
+import itertools
+import weakref
 from dataclasses import replace
 
 import numpy as np
@@ -8,11 +10,13 @@ import scipy.sparse as sp
 
 import calib
 from calib.analyses import case
+from calib.analyses import explain as explaining
 from calib.analyses.explain import explanation_of
 from calib.analyses.hypotheses_of_study import adapter_for
 from calib.analyses.reduction import reduction_near
 from calib.correlation.basis import BasisRequirements
 from calib.execution.stage import silent
+from calib.hypotheses.one_test import OneTest
 from calib.missing.candidate_fit import CandidateFit
 from calib.missing.linearised_fit import least_squares_fit
 from calib.structure import model as models
@@ -210,3 +214,27 @@ def test_bases_of_effects_are_made_once_about_the_fit_whatever_calibrates_the_st
     base = answer.explanation.base.fit.values
     for name, value in TRUE.items():
         assert about[name] == pytest.approx(base[name], abs=0.05) and abs(value - 1.0) > 0.1
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("at_base", [True, False])
+def test_models_of_a_decision_go_before_others_are_built(at_base, monkeypatch):
+    model, before, gone, looks = membrane(), list[weakref.ref](), list[bool](), itertools.count()
+    study = calib.Problem(model, measured_at(model, TRUE)).study()
+    decide, covering = explaining.decision, OneTest.covering
+
+    def grown(self, fits):
+        """The basis grows once: at the first look, for the base fit, or at the second one, for all fits."""
+        new = next(looks) == (0 if at_base else 1)
+        return replace(self, hypotheses=replace(self.hypotheses)) if new else covering(self, fits)
+
+    def decided(adapter, *more):
+        gone.append(all(one() is None for one in before))
+        found = decide(adapter, *more)
+        before.extend(weakref.ref(one) for one in (adapter.hypotheses, found, found.base.fit))
+        return found
+
+    monkeypatch.setattr(explaining, "decision", decided)
+    monkeypatch.setattr(OneTest, "covering", grown)
+    _, answer = explanation_of(study)
+    assert gone == [True, True] and answer.verdict
