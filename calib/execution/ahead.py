@@ -61,6 +61,12 @@ def is_collecting() -> bool:
     return _collecting.get() is not None
 
 
+def is_in_advance() -> bool:
+    """Whether this is so within `in_advance`, where every point is solved."""
+    wanted = _collecting.get()
+    return wanted is not None and not wanted.leaves
+
+
 def ask(function: Batched, values: Mapping[str, float], is_known: Callable[[], bool]) -> None:
     """Note, while points are collected, that a function is asked; PointWanted where its result is not known."""
     wanted = _collecting.get()
@@ -87,7 +93,7 @@ def evaluated_together(computations: Iterable[Callable[[], object]]) -> bool:
         Whether they ask such a function.
     """
     outer, waiting = _collecting.get(), list(computations)
-    if not _shared.get() or (outer is not None and not outer.leaves):
+    if not _shared.get() or is_in_advance():
         return False
     asked = False
     for _ in range(_ROUNDS):

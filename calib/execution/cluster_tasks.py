@@ -25,7 +25,7 @@ class ClusterTasks:
     The first task of every function is done here and shows how long one takes. What all tasks need travels once. What
     cannot be sent, fails elsewhere, or dies with its workers is done here, so that a failure is that of
     `calib.execution.tasks.in_this_process`; so are tasks within a task. Tasks whose shared object has a true attribute
-    ``stays_here`` need files of this machine, and do not travel.
+    ``stays_here`` need files of this machine, or more than is worth sending, and do not travel.
 
     Parameters
     ----------

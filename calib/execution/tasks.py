@@ -75,6 +75,11 @@ def are_shared() -> bool:
     return _in_use.get() is not in_this_process
 
 
+def processes() -> int:
+    """Processes of this machine that share the tasks of `each`; 1 where a cluster takes the long ones."""
+    return int(getattr(_in_use.get(), "processes", 1))
+
+
 @contextmanager
 def shared_by(share: Share) -> Iterator[None]:
     """While this lasts, the tasks of `each` are shared by ``share``."""

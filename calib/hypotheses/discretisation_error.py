@@ -24,6 +24,7 @@ from calib.missing.facts import DiscretisationError
 from calib.missing.linearised_fit import LinearisedFit, least_squares_fit
 from calib.missing.nearest_integers import nearest_whole
 from calib.missing.score import scores
+from calib.problem.shared_points import run_shared
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
 
@@ -154,7 +155,9 @@ def with_mesh_error(adapter: Adapter, finer: StructuralModel | None, sd: float, 
     fit_problem = of_test.hypotheses.fit_problem(())
     begin = nearest_whole(fit_problem, fit_problem.space.values)
     linear = of_test.hypotheses.linear_start((), begin)
-    fits = [least_squares_fit(fit_problem, (), start, 1) for start in (begin, linear) if start is not None]
+    starts = [start for start in (begin, linear) if start is not None]
+    run_shared(least_squares_fit, [(fit_problem, (), start, 1) for start in starts])
+    fits = [least_squares_fit(fit_problem, (), start, 1) for start in starts]
     values, out = min(fits, key=lambda fit: fit.misfit).values, of_test
     for k in range(RULES.mesh_fits):
         mesh = MeshError(of_test.hypotheses.variants.model, finer, fit_problem.pair.space.complete(values), sd, test)

@@ -46,7 +46,9 @@ def fitted_base(fits: Refits, start: Mapping[str, float] | None, only: bool = Fa
     whole = 0 if fits.spent(RULES.early) else 1
     begin = nearest_whole(fit_problem, fit_problem.space.values)
     linear = fits.hypotheses.linear_start((), begin)
-    found += [fits.candidate_fit((), one, whole) for one in ([begin] if linear is None else [linear, begin])]
+    starts = [begin] if linear is None else [linear, begin]
+    fits.ahead((((), one) for one in starts), FINE, whole)
+    found += [fits.candidate_fit((), one, whole) for one in starts]
     return min(found, key=lambda one: one.fit.misfit)
 
 

@@ -25,6 +25,7 @@ from calib.missing.restarts import better_of, led_astray, restarted, restarted_f
 from calib.missing.rules import RULES
 from calib.missing.score import Scores
 from calib.missing.settings import DEFAULT, Settings, require_enough
+from calib.missing.single_effects import fit_singles
 from calib.missing.stepwise import Stepwise, further_price
 from calib.problem.candidate import Candidate
 
@@ -118,7 +119,7 @@ class _Decision:
         astray = not starts and fits.settings.budget > 0 and led_astray(base, adequacy)
         first = restarted_first(fits, base, able) if astray else []
         free = bool(first) and not trapped(first)
-        singles = first if free else better_of(first, fits.singles(base, groups, adequacy.named, starts))
+        singles = first if free else better_of(first, fit_singles(fits, base, groups, adequacy.named, starts))
         lead = self.lead(singles, able, base)
         found = with_competing(self.fits, found, lead.singles[0])
         needed = self.needed(found)

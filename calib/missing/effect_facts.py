@@ -29,6 +29,7 @@ from calib.missing.score import Scores
 from calib.missing.settings import Settings
 from calib.problem.candidate import Candidate
 from calib.problem.effect import Effect
+from calib.problem.shared_points import run_shared
 
 STAGE = "richer"
 """Stage of the errors of a richer member."""
@@ -186,10 +187,12 @@ def found_places(found: Explanation) -> pd.DataFrame:
 
 def _rows(found: Explanation, chosen: CandidateFit, effect: Effect) -> list[tuple[object, ...]]:
     fit, rows = chosen.fit, []
-    for number, name in enumerate(effect.places, 1):
-        held = {effect.place_name: float(number)}
+    at = [{effect.place_name: float(number)} for number in range(1, len(effect.places) + 1)]
+    requests = [(Altered(fit.fit_problem, held=held), fit.effects, {**fit.values, **held}) for held in at]
+    run_shared(least_squares_fit, requests)
+    for number, (name, request) in enumerate(zip(effect.places, requests, strict=True), 1):
         try:
-            there = least_squares_fit(Altered(fit.fit_problem, held=held), fit.effects, {**fit.values, **held})
+            there = least_squares_fit(*request)
         except EvaluationError as fault:
             rows.append((number, name, math.nan, math.nan, math.nan, str(fault)))
             continue

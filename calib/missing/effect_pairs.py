@@ -44,6 +44,7 @@ def fit_pairs(
             start = fits.starts(place, there, name)[0]
             wanted.setdefault(frozenset((first.names[0], name)), []).append(start)
     out: list[CandidateFit] = []
+    fits.ahead((tuple(sorted(key)), starts[0]) for key, starts in wanted.items())
     for key, starts in wanted.items():
         if fits.spent():
             break
@@ -57,6 +58,7 @@ def fit_pairs(
             out.append(pair)
     # Integers shifted by one effect may hide the other: several pairs are refitted with free integers.
     order = sorted(range(len(out)), key=lambda k: -out[k].ln_evidence)
+    fits.ahead(((out[k].names, out[k].fit.values) for k in order[: RULES.refined] if not fits.spent()), ROUGH, 1)
     for k in order[: RULES.refined]:
         if not fits.spent() or (k == order[0] and not out[k].implausible):
             out[k] = fits.followed(out[k], whole=1, settings=ROUGH)

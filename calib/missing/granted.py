@@ -15,6 +15,7 @@ from calib.missing.blame import alike, alike_faults, outweighs
 from calib.missing.candidate_fit import AdequacyTests, CandidateFit
 from calib.missing.explanation import NAMED, Explanation
 from calib.missing.goodness import overall_p
+from calib.missing.linearised_fit import FINE
 from calib.missing.place import takes_enough
 from calib.missing.plausible import has_possible_size, is_whole
 from calib.missing.refits import Refits
@@ -123,13 +124,18 @@ def _in_place_of(fits: Refits, told: Explanation, fault: Candidate) -> Iterator[
     least = predicted[known.best(fault.name)] - RULES.close
     near = [known.owners[k] for k in np.argsort(-predicted, kind="stable") if predicted[k] > least]
     own = {name: value for name, value in fit.values.items() if name != fault.name}
+    starts = dict[str, dict[str, float]]()
+    for name in [name for name in near if name != fault.name][: RULES.blamed]:
+        k = known.best(name)
+        p, size = fits.by_name[name].magnitude, known.z[k] / known.size[k]
+        starts[name] = {**own, name: min(max(size, p.lower), p.upper)}
     with fits.allowance.uncharged():
+        every = {fault.name: dict(fit.values), **starts}
+        fits.ahead((((*names, name), start) for name, start in every.items()), FINE, charged=False)
         granted = fits.candidate_fit((*names, fault.name), dict(fit.values))
-        for name in [name for name in near if name != fault.name][: RULES.blamed]:
-            k = known.best(name)
-            p, size = fits.by_name[name].magnitude, known.z[k] / known.size[k]
+        for name, start in starts.items():
             with suppress(EvaluationError):
-                other = fits.candidate_fit((*names, name), {**own, name: min(max(size, p.lower), p.upper)})
+                other = fits.candidate_fit((*names, name), start)
                 close = other.ln_evidence > granted.ln_evidence - RULES.credible
                 if close and has_possible_size(other.fit, fits.by_name[name]):
                     yield name

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import islice, takewhile
 from types import MappingProxyType
 
 import numpy as np
@@ -15,8 +16,7 @@ from calib.errors.errors import EvaluationError
 from calib.execution.stage import Progress
 from calib.inference.gauss_newton import FitSettings
 from calib.missing.candidate_fit import CandidateFit
-from calib.missing.collinear import Group
-from calib.missing.evidence import ln_bayes_linear, ln_evidence
+from calib.missing.evidence import ln_evidence
 from calib.missing.fault_family import FaultFamily
 from calib.missing.hypotheses import Altered, FitProblem, Hypotheses
 from calib.missing.linearised_fit import (
@@ -33,6 +33,7 @@ from calib.missing.rules import RULES
 from calib.missing.score import Scores, scores
 from calib.missing.settings import Allowance, Settings
 from calib.problem.candidate import Candidate
+from calib.problem.shared_points import run_shared
 
 
 def near_to(reached: float) -> float:
@@ -119,6 +120,16 @@ class Refits:
             names, least_squares_fit(problem, names, start, whole, limited, self._step, columns, exact)
         )
 
+    def ahead(
+        self, wanted: Iterable[tuple[tuple[str, ...], dict[str, float]]], settings: FitSettings = ROUGH, whole: int = 0,
+        charged: bool = True,
+    ) -> None:  # fmt: skip
+        """Fits that are about to be asked for, as effects and start: all processes make what the budget allows."""
+        most, limited = self.allowance.remaining / (ROUGH.iterations + 1), self.affordable(settings)
+        some = islice(wanted, int(max(most, 0))) if charged and math.isfinite(most) else wanted
+        requests = ((self.fit_problem(names), names, start, whole, limited) for names, start in some)
+        run_shared(least_squares_fit, requests, lambda done: self.announce(""))
+
     def announce(self, stage: str) -> None:
         """Tell the present step, with the part of the budget that is used, where there is one."""
         used, most = max(self.allowance.used, 0), self.allowance.most
@@ -132,61 +143,6 @@ class Refits:
         return replace(
             settings, evaluations=min(settings.evaluations, max(self.allowance.remaining, RULES.least_residuals))
         )
-
-    def singles(
-        self,
-        base: CandidateFit,
-        groups: Sequence[Group],
-        named: Scores,
-        starts: dict[tuple[str, ...], dict[str, float]],
-    ) -> list[CandidateFit]:
-        """Fits of the most promising effects, and of those collinear with the ones that fit well; best first."""
-        plausible = np.array([self.by_name[n].plausible for n in named.owners])
-        predicted = ln_bayes_linear(named.magnitude, named.size, plausible)
-        by_effect = {
-            g.effect.name: max(predicted[k] for k, n in enumerate(named.owners) if n in g.names) for g in groups
-        }
-        out: list[CandidateFit] = []
-        for name in sorted(by_effect, key=lambda n: (-by_effect[n], n))[: self.settings.refits]:
-            if len(out) > 1 and self.spent(RULES.early):
-                break
-            reached = max((t.ln_evidence - base.ln_evidence for t in out), default=0.0)
-            if reached > RULES.far and by_effect[name] < reached / 4 and (name,) not in starts:
-                continue  # its predicted gain is negligible beside that of another effect
-            found = self._single(base, named, name, starts)
-            if found is not None:
-                out.append(found)
-        if not out:
-            raise EvaluationError("no effect could be fitted")
-        out.sort(key=lambda t: -t.ln_evidence)
-        reached = out[0].ln_evidence - base.ln_evidence
-        near = near_to(reached)
-        collinear = {g.effect.name: g.others for g in groups}
-        for one in tuple(out):
-            close = out[0].ln_evidence - one.ln_evidence < near
-            for competitor in collinear[one.names[0]] if close and not self.spent() else ():
-                found = self._single(base, named, competitor.name, starts)
-                out += [] if found is None else [found]
-        out.sort(key=lambda t: -t.ln_evidence)
-        # Integer parameters may have absorbed what was missing: the best fits may move them back.
-        reached = out[0].ln_evidence - base.ln_evidence
-        near = near_to(reached)
-        for k, one in enumerate(out[: RULES.refined]):
-            close = reached > RULES.credible and out[0].ln_evidence - one.ln_evidence < near
-            if close and not self.spent(RULES.early if k else 1.0):
-                out[k] = self.followed(one, whole=1)
-        return sorted(out, key=lambda t: -t.ln_evidence)
-
-    def _single(
-        self, base: CandidateFit, named: Scores, name: str, starts: dict[tuple[str, ...], dict[str, float]]
-    ) -> CandidateFit | None:
-        """Fit of one effect, from its earlier fit or from one step off the base model."""
-        self.announce(f"fitting {self.by_name[name].title}")
-        if (name,) in starts:
-            return self.best_of((name,), [starts[(name,)]], base)
-        return self.best_of(
-            (name,), self.starts(base.fit, named, name), base, self.columns(base.fit, named, name)
-        )  # fmt: skip
 
     def best_of(
         self, names: tuple[str, ...], starts: Sequence[dict[str, float]], parent: CandidateFit,
@@ -227,7 +183,15 @@ class Refits:
         if not (remaining := tuple(name for name in model.names if name != effect.name)):
             return base
         self.announce(f"leaving out {effect.title}")
-        return self.best_of(remaining, [{n: v for n, v in model.fit.values.items() if n not in effect.names}], base)
+        return self.best_of(remaining, [_values_without(model, effect)], base)
+
+    def without_each(
+        self, model: CandidateFit, effects: Sequence[Candidate], base: CandidateFit
+    ) -> Iterator[CandidateFit | None]:
+        """`without` each of some effects."""
+        smaller = [(tuple(n for n in model.names if n != e.name), _values_without(model, e)) for e in effects]
+        self.ahead(one for one in smaller if one[0])
+        return (self.without(model, effect, base) for effect in effects)
 
     def grown(self, names: tuple[str, ...], parent: CandidateFit) -> CandidateFit:
         """The optimum of a model with fewer effects, with zero magnitude of the further ones."""
@@ -295,12 +259,17 @@ class Refits:
         """
         predicted, order = self.family.predicted(found), self.family.promising(found)
         reached = best.ln_evidence - base.ln_evidence
+
+        def too_small(k: int) -> bool:
+            gain, largest = float(predicted[k]), float(predicted[order[0]])
+            return gain <= 0 or reached - gain > near_to(reached) or largest - gain > RULES.close
+
+        able = list(takewhile(lambda k: not too_small(k), order))
         out = list[CandidateFit]()
         with self.allowance.uncharged():
-            for k in order:
-                gain, largest = float(predicted[k]), float(predicted[order[0]])
-                if gain <= 0 or reached - gain > near_to(reached) or largest - gain > RULES.close:
-                    break
+            names = [found.owners[k] for k in able]
+            self.ahead((((*base.names, n), self.starts(base.fit, found, n)[0]) for n in names), charged=False)
+            for k in able:
                 self.announce(f"fitting {self.by_name[found.owners[k]].title}")
                 fit = self.local(found.owners[k], base, found, best)
                 out += [] if fit is None else [fit]
@@ -338,14 +307,17 @@ class Refits:
     def settled(self, fits: Sequence[CandidateFit], margin: float) -> list[CandidateFit]:
         """Fits sorted by evidence, of which those within a margin of the best are `finished`."""
         out, tried = sorted(fits, key=lambda t: -t.ln_evidence), set[tuple[str, ...]]()
+        first = [t for t in out if t.ln_evidence >= out[0].ln_evidence - margin and not t.fit.converged]
+        with self.allowance.continuing():
+            self.ahead(((t.names, t.fit.values) for t in first), FINE)
         while True:
             near = (t for t in out if t.ln_evidence >= out[0].ln_evidence - margin)
-            first = next((t for t in near if not t.fit.converged and t.names not in tried), None)
-            if first is None:
+            best = next((t for t in near if not t.fit.converged and t.names not in tried), None)
+            if best is None:
                 return out
-            tried.add(first.names)
-            finished = self.finished(first)
-            out = sorted((finished if t is first else t for t in out), key=lambda t: -t.ln_evidence)
+            tried.add(best.names)
+            finished = self.finished(best)
+            out = sorted((finished if t is best else t for t in out), key=lambda t: -t.ln_evidence)
 
     def finished(self, candidate_fit: CandidateFit) -> CandidateFit:
         """The fit continued, a few times, until it converges: many parameters need more than its first iterations.
@@ -386,6 +358,7 @@ class Refits:
     def _better(self, best: CandidateFit, starts: Sequence[dict[str, float]]) -> CandidateFit:
         """The fit of the same effects from the most promising start, or the best one where it is not beaten."""
         rough = []
+        self.ahead((best.names, start) for start in starts)
         for start in starts:
             with suppress(EvaluationError):
                 rough.append(self.candidate_fit(best.names, start, settings=ROUGH))
@@ -394,3 +367,7 @@ class Refits:
             return best
         found = self.candidate_fit(best.names, found.fit.values)
         return found if found.fit.misfit < best.fit.misfit - RULES.worth else best
+
+
+def _values_without(model: CandidateFit, effect: Candidate) -> dict[str, float]:
+    return {name: value for name, value in model.fit.values.items() if name not in effect.names}

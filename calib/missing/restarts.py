@@ -125,7 +125,9 @@ def restarted_faults(fits: Refits, base: CandidateFit, faults: Sequence[Candidat
     except EvaluationError:
         return tuple(faults)
     known = [name for name in best if name in found.owners]
-    for name in dict.fromkeys((*known, *(found.owners[k] for k in fits.family.promising(found)))):
+    tried = list(dict.fromkeys((*known, *(found.owners[k] for k in fits.family.promising(found)))))
+    fits.ahead((((n,), start) for n in tried for start in fits.starts(nominal, found, n)), charged=False)
+    for name in tried:
         if fits.by_differences and not _may_be_whole(fits, nominal, name):
             continue
         refit = fits.best_of((name,), fits.starts(nominal, found, name), base, fits.columns(nominal, found, name))

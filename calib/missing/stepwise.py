@@ -138,12 +138,12 @@ class Stepwise:
         return sorted(out, key=lambda t: -t.ln_evidence)
 
     def _beside(self, model: CandidateFit, scores: Scores, effects: Sequence[Candidate]) -> Iterator[CandidateFit]:
-        fits = self.fits
+        fits, starts = self.fits, {e.name: self.fits.starts(model.fit, scores, e.name)[:1] for e in effects}
+        fits.ahead(((*model.names, name), start) for name, (start,) in starts.items())
         for effect in effects:
             fits.announce(f"fitting {effect.title} beside {' and '.join(e.title for e in model.effects)}")
-            starts = fits.starts(model.fit, scores, effect.name)
             columns = fits.columns(model.fit, scores, effect.name)
-            found = fits.best_of((*model.names, effect.name), starts[:1], model, columns)
+            found = fits.best_of((*model.names, effect.name), starts[effect.name], model, columns)
             if found is not None:
                 yield found
 
@@ -152,9 +152,9 @@ class Stepwise:
         step = entered
         while len(step.candidate_fit.names) > 1:
             model = step.candidate_fit
-            smaller = [
-                (rest, e) for e in model.effects[:-1] if (rest := self.fits.without(model, e, self.base)) is not None
-            ]
+            effects = model.effects[:-1]
+            refits = zip(self.fits.without_each(model, effects, self.base), effects, strict=True)
+            smaller = [(rest, effect) for rest, effect in refits if rest is not None]
             smaller.sort(key=lambda one: -one[0].ln_evidence)
             price = further_price(len(self.candidates) - len(model.names) + 1)
             if not smaller or model.ln_evidence - smaller[0][0].ln_evidence > price:

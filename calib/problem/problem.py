@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
 import numpy as np
 
 from calib.errors.errors import EvaluationError, raised_anew
-from calib.execution.ahead import is_collecting
+from calib.execution.ahead import is_collecting, is_in_advance
 from calib.execution.outcome import Outcome, failure, point_key
 from calib.problem.labels import Label, Labelled, label_table
 from calib.problem.space import ParameterSpace
@@ -23,7 +23,7 @@ REMEMBERED = 8
 """Number of cached solutions, so that a derivative does not solve its point again."""
 
 AHEAD = 200
-"""Number of solutions that are kept for a request that follows; see `calib.execution.ahead`."""
+"""Number of solutions and slopes that are kept for requests that follow; see `calib.execution.ahead`."""
 
 
 class Pair(Labelled, Protocol):
@@ -181,7 +181,7 @@ class PairProblem(Generic[P]):
     counts: Counts = field(default_factory=Counts, repr=False)
     _solved: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
     _failed: dict[str, EvaluationError] = field(init=False, repr=False, default_factory=dict)
-    _early: dict[str, Any] = field(init=False, repr=False, default_factory=dict)
+    _early: dict[Hashable, Any] = field(init=False, repr=False, default_factory=dict)
     _identity: str = field(init=False, repr=False, default="")
     _key: str = field(init=False, repr=False, default="")
 
@@ -272,13 +272,26 @@ class PairProblem(Generic[P]):
         return np.column_stack([known[name] for name in names]) if names else np.zeros((len(self.rows), 0))
 
     def _slope(self, values: Mapping[str, float], names: Sequence[str]) -> np.ndarray:
-        slope = self.pair.slope(values, names, self.at)
+        key, points = (point_key(values), *names), list[Mapping[str, float]]()
+
+        def at(point: Mapping[str, float]) -> Any:
+            points.append(point)
+            return self.at(point)
+
+        if key in self._early:
+            slope, requested = self._early[key] if is_collecting() else self._early.pop(key)
+            for point in requested:  # they count, and are cached, as when the slope is evaluated now
+                self.at(point)
+            return np.asarray(slope)
+        slope = self.pair.slope(values, names, at)
         wrong = np.argwhere(~np.isfinite(slope))
         if len(wrong):
             row, column = wrong[0].tolist()
             label = self.rows[row]
             of = " ".join(filter(None, [label.kind, label.mode, label.sensor]))
             raise EvaluationError(f"the derivative of {of} by {names[column]} is not finite")
+        if is_in_advance() and not self.by_differences:  # those count the points of their differences
+            self.keep_ahead(key, (slope, points))
         return slope
 
     def frequencies(
@@ -315,19 +328,31 @@ class PairProblem(Generic[P]):
         if key in self._failed:
             raise raised_anew(self._failed[key])
         if not self.is_known(key):
-            self.keep_ahead(key, self.pair.solve(values))
+            try:
+                self.keep_ahead(key, self.pair.solve(values))
+            except EvaluationError as fault:
+                if self.store is None:  # else the request that follows stores it
+                    self.keep_ahead(key, fault)
+                raise
         return self._solved[key] if key in self._solved else self._early[key]
 
     def is_known(self, key: str) -> bool:
         """Whether a point has been solved, or has failed."""
         return key in self._solved or key in self._early or key in self._failed
 
-    def keep_ahead(self, key: str, found: Any) -> None:
-        """Keep a solution, or the EvaluationError of a point that has none, for the request that follows."""
+    @property
+    def ahead(self) -> dict[Hashable, Any]:
+        """Solutions, failures and slopes that are kept for requests that follow, by key; see `keep_ahead`."""
+        kept: dict[Hashable, Any] = dict(self._early)
+        kept.update(self._failed)
+        return kept
+
+    def keep_ahead(self, key: Hashable, found: Any) -> None:
+        """Keep a solution, a slope, or the EvaluationError of a point without one, for the request that follows."""
         if isinstance(found, EvaluationError):
-            self._failed[key] = found
+            self._failed[str(key)] = found
             return
-        while len(self._early) >= AHEAD:
+        while key not in self._early and len(self._early) >= AHEAD:
             del self._early[next(iter(self._early))]
         self._early[key] = found
 

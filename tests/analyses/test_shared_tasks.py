@@ -20,6 +20,8 @@ ROOT = Path(__file__).resolve().parents[2]
 class Elsewhere:
     """Does tasks as other processes do, in reverse order, with what a team sends to these."""
 
+    processes = 2
+
     def __init__(self, store):
         self.store, self.done = store, set()
 
@@ -52,6 +54,17 @@ def test_an_explanation_is_the_same_whoever_shares_its_tasks(guyed, store, tmp_p
         explain(study, Results.at(tmp_path, study.name))
     assert {"_linearisation", "_of_dense_modes", "_solved"} <= share.done
     assert tables(tmp_path / study.name) == tables(results.path)
+
+
+@pytest.mark.slow
+def test_fits_of_a_decision_are_the_same_whoever_makes_them(store, tmp_path):
+    """Single effects, faults and effects beside others; what is told of evaluations and the budget too."""
+    study, share = LoadedStudy.load(ROOT / "studies/hidden_three"), Elsewhere(store)
+    with shared_by(share):
+        explain(study, Results.at(tmp_path / "shared", study.name))
+    explain(study, Results.at(tmp_path / "alone", study.name))
+    assert {"_computed", "_solved"} <= share.done
+    assert tables(tmp_path / "shared" / study.name) == tables(tmp_path / "alone" / study.name)
 
 
 @pytest.mark.slow

@@ -9,12 +9,13 @@ from calib.correlation.modal.problem import ModalProblem
 from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.response.problem import FunctionProblem
 from calib.correlation.response.residual import ResponseResidual
-from calib.errors.errors import EvaluationError
+from calib.errors.errors import EvaluationError, InputError
 from calib.execution.tasks import shared_by, unreported
 from calib.missing.hypotheses import Altered
+from calib.missing.linearised_fit import least_squares_fit, linearised
 from calib.problem.joint import JointProblem
 from calib.problem.problem import PairProblem
-from calib.problem.shared_points import solve_shared
+from calib.problem.shared_points import run_shared, solve_shared
 
 
 @pytest.fixture
@@ -36,6 +37,8 @@ def new(pair, model):
 
 class Elsewhere:
     """Does tasks as other processes do; what it did."""
+
+    processes = 2
 
     def __init__(self):
         self.calls = []
@@ -113,3 +116,102 @@ def test_nothing_is_solved_without_others_or_of_a_users_function(new, model):
         solve_shared([(problem, points(model)[0])])  # one point is not shared
     assert share.calls == [] and asked == [] and problem.counts.asked == 0
     assert np.isfinite(problem.residual(points(model)[0])).all()
+
+
+def fitted(problem, values):
+    """A fit, which asks for points and slopes, from named values."""
+    return least_squares_fit(problem, (), values)
+
+
+def test_a_fit_finds_all_that_another_process_evaluated_and_counts_it(new, model, monkeypatch):
+    alone, shared, share = new(), new(), Elsewhere()
+    expected = [fitted(alone, values) for values in points(model)[:2]]
+    with shared_by(share):
+        run_shared(fitted, ((Altered(shared), values) for values in points(model)[:2]))
+        assert share.calls[0] == 2 and shared.counts.asked == 0
+        with monkeypatch.context() as patch:
+            for name in ("solve", "slope"):
+                patch.setattr(ModalResidual, name, lambda *given: pytest.fail("it is evaluated again"))
+            found = [fitted(shared, values) for values in points(model)[:2]]
+    for one, other in zip(expected, found, strict=True):
+        assert one.values == other.values and one.slope.tobytes() == other.slope.tobytes()
+    assert vars(alone.counts) == vars(shared.counts) and shared.counts.solved > 4
+
+
+def test_what_was_not_foreseen_is_evaluated(new, model):
+    alone, shared = new(), new()
+    first, second, third, *_ = points(model)
+    with shared_by(Elsewhere()):
+        run_shared(fitted, [(shared, first), (shared, second)])
+        found = linearised(shared, (), third)
+    expected = linearised(alone, (), third)
+    assert found.slope.tobytes() == expected.slope.tobytes() and vars(alone.counts) == vars(shared.counts)
+
+
+def refused(problem, values):
+    """A computation that asks for one point, and fails."""
+    problem.residual(values)
+    raise InputError("no", place="here", remedy="none")
+
+
+def test_a_failure_is_left_to_the_one_who_asks(new, model):
+    problem, share = new(), Elsewhere()
+    first, second, *_ = points(model)
+    with shared_by(share):
+        run_shared(refused, [(problem, first), (problem, second)])
+        assert share.calls == [2]
+        with pytest.raises(InputError, match="no"):
+            refused(problem, first)
+    assert problem.counts.solved == 1
+
+
+def test_a_users_function_is_left_to_the_one_who_asks(new, model):
+    user = FunctionProblem(model.space, lambda values: {"r": values["k_along"]}, {"r": (1.0, 1.0)}, "")
+    own, share = PairProblem(ResponseResidual(user), model.space), Elsewhere()
+    first, second, *_ = points(model)
+    with shared_by(share):
+        run_shared(fitted, [(own, first), (own, second), (JointProblem({"a": new(), "b": own}), first)])
+    assert share.calls == [] and own.counts.asked == 0
+
+
+def test_no_fit_is_made_ahead_by_a_process_alone(new, model):
+    problem, share = new(), Elsewhere()
+    share.processes = 1
+    first, second, *_ = points(model)
+    with shared_by(share):
+        run_shared(fitted, [(problem, first), (problem, second)])
+    assert share.calls == [] and problem.ahead == {}
+
+
+@pytest.mark.parametrize("most", [1, 3])
+def test_what_is_kept_is_limited_and_changes_nothing(new, model, monkeypatch, most):
+    monkeypatch.setattr("calib.problem.problem.AHEAD", most)
+    alone, shared = new(), new()
+    starts = points(model)[:2]
+    with shared_by(Elsewhere()):
+        run_shared(fitted, [(shared, values) for values in starts])
+        assert len(shared.ahead) == most
+        found = [fitted(shared, values) for values in starts]
+    for one, values in zip(found, starts, strict=True):
+        assert one.values == fitted(alone, values).values
+    assert vars(alone.counts) == vars(shared.counts)
+
+
+def test_a_point_that_fails_within_a_fit_counts_as_alone(new, model, monkeypatch):
+    solve, failed = ModalResidual.solve, []
+
+    def fails(self, values, solved=None):
+        if abs(values["mass"] / model.space["mass"].value - 1) > 0.02 and values["k_along"] != starts[1]["k_along"]:
+            failed.append(values)
+            raise EvaluationError("no modes")
+        return solve(self, values, solved)
+
+    starts = points(model)[:2]
+    monkeypatch.setattr(ModalResidual, "solve", fails)
+    alone, shared = new(), new()
+    with shared_by(Elsewhere()):
+        run_shared(fitted, [(shared, values) for values in starts])
+        assert failed
+        found = [fitted(shared, values).values for values in starts]
+    assert found == [fitted(alone, values).values for values in starts]
+    assert vars(alone.counts) == vars(shared.counts) and alone.counts.failed > 0

@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from calib.missing import decision
 from calib.missing.decision import decide
 from calib.missing.goodness import goodness, noise_scale
-from calib.missing.refits import Refits
 from calib.missing.rules import RULES
 from calib.missing.settings import Settings
 
@@ -70,14 +70,14 @@ def test_an_understated_standard_deviation_is_corrected_before_pairs_are_tried(t
 @pytest.mark.parametrize("seed", range(3))
 def test_the_second_decision_has_its_own_budget(toy, seed, monkeypatch):
     """The second decision refits the effects of the first, although these took most of its budget."""
-    tried, singles = [], Refits.singles
+    tried, singles = [], decision.fit_singles
 
     def telling(fits, base, groups, named, starts):
         found = singles(fits, base, groups, named, starts)
         tried.append((set(starts) - {()}, {t.names for t in found}))
         return found
 
-    monkeypatch.setattr(Refits, "singles", telling)
+    monkeypatch.setattr(decision, "fit_singles", telling)
     one = toy(modes=10, sensors=20, curvature=0.02).drawn(np.random.default_rng(seed), {"E2": 3.0}, 2.0)
     assert decide(one, Settings(budget=60.0)).noise_scale > 1.5
     known, again = tried[-1]

@@ -69,7 +69,7 @@ def test_a_large_effect_behind_a_ridge_is_named_and_measured(toy, size, radius, 
 
 def test_beside_a_base_fit_that_leaves_a_multiple_of_the_rows_effects_start_from_the_nominal_values(toy, monkeypatch):
     one = turning(toy, 150.0, 30.0).drawn(np.random.default_rng(1), TRUTH)
-    monkeypatch.setattr(Refits, "singles", lambda *given: pytest.fail("fitted beside the base fit first"))
+    monkeypatch.setattr(decision, "fit_singles", lambda *given: pytest.fail("fitted beside the base fit first"))
     found = decide(one)
     assert found.base.fit.misfit > RULES.trapped * len(one.rows)
     assert found.verdict == "effect" and found.credible == ("E0",) and found.begun_anew
