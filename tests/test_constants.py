@@ -186,6 +186,7 @@ SPEED = {  # memory, time, processes; results are the same
     "study/study_file.py": "_KEPT",
     "study/settings.py": "_GRACE",
     "analyses/runs_ahead.py": "_AGREE _EFFECT _EXPLAIN _FIT _STEPS",
+    "execution/memory.py": "_PAUSE",
     "execution/team.py": "_MOST _WORTH _TO_START",
     "execution/shared_store.py": "_LARGE _SPARE",
     "execution/temporary.py": "_WITHOUT_LOCK",
