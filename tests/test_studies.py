@@ -179,7 +179,7 @@ def test_the_bogie_is_calibrated_to_the_accuracy_of_the_case_study(tmp_path):
     table = pd.read_csv(tmp_path / "bogie/parameters.csv")
     for _, case in table.groupby("case"):
         identified = case[case["identified"] == True]  # noqa: E712  (NaN where not known)
-        assert len(identified) >= 3  # of ten; one is on its limit, others differ between the searches
+        assert len(identified) >= 3  # of ten; two are on a limit, the others differ between the searches
         for row in identified.to_dict("records"):
             error = abs(row["value"] - TRUTH["parameters"][row["parameter"]])
             assert error <= 0.10 * (row["upper"] - row["lower"]), row

@@ -128,7 +128,7 @@ class Refits:
         most, limited = self.allowance.remaining / (ROUGH.iterations + 1), self.affordable(settings)
         some = islice(wanted, int(max(most, 0))) if charged and math.isfinite(most) else wanted
         requests = ((self.fit_problem(names), names, start, whole, limited) for names, start in some)
-        run_shared(least_squares_fit, requests, lambda done: self.announce(""))
+        run_shared(least_squares_fit, requests, self._step)
 
     def announce(self, stage: str) -> None:
         """Tell the present step, with the part of the budget that is used, where there is one."""
@@ -307,17 +307,17 @@ class Refits:
     def settled(self, fits: Sequence[CandidateFit], margin: float) -> list[CandidateFit]:
         """Fits sorted by evidence, of which those within a margin of the best are `finished`."""
         out, tried = sorted(fits, key=lambda t: -t.ln_evidence), set[tuple[str, ...]]()
-        first = [t for t in out if t.ln_evidence >= out[0].ln_evidence - margin and not t.fit.converged]
+        unconverged = [t for t in out if t.ln_evidence >= out[0].ln_evidence - margin and not t.fit.converged]
         with self.allowance.continuing():
-            self.ahead(((t.names, t.fit.values) for t in first), FINE)
+            self.ahead(((t.names, t.fit.values) for t in unconverged), FINE)
         while True:
             near = (t for t in out if t.ln_evidence >= out[0].ln_evidence - margin)
-            best = next((t for t in near if not t.fit.converged and t.names not in tried), None)
-            if best is None:
+            first = next((t for t in near if not t.fit.converged and t.names not in tried), None)
+            if first is None:
                 return out
-            tried.add(best.names)
-            finished = self.finished(best)
-            out = sorted((finished if t is best else t for t in out), key=lambda t: -t.ln_evidence)
+            tried.add(first.names)
+            finished = self.finished(first)
+            out = sorted((finished if t is first else t for t in out), key=lambda t: -t.ln_evidence)
 
     def finished(self, candidate_fit: CandidateFit) -> CandidateFit:
         """The fit continued, a few times, until it converges: many parameters need more than its first iterations.

@@ -33,9 +33,11 @@ def solve_shared(requests: Iterable[tuple[Any, Mapping[str, float]]]) -> None:
     wanted = dict[tuple[int, str], tuple[PairProblem[Any], dict[str, float]]]()
     for problem, values in requests:
         for own, its in _parts(problem, values):
+            if not _of_matrices(own):
+                continue
             complete = own.pair.space.complete(dict(its))
             key = point_key(complete)
-            if _of_matrices(own) and not own.is_known(key):
+            if not own.is_known(key):
                 wanted.setdefault((id(own), key), (own, complete))
     _run(_solved, PairProblem.at, list(wanted.values()), _MODELS)
 

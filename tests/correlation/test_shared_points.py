@@ -215,3 +215,15 @@ def test_a_point_that_fails_within_a_fit_counts_as_alone(new, model, monkeypatch
         found = [fitted(shared, values).values for values in starts]
     assert found == [fitted(alone, values).values for values in starts]
     assert vars(alone.counts) == vars(shared.counts) and alone.counts.failed > 0
+
+
+class Other:
+    """A fit problem of another kind."""
+
+
+def test_problems_of_another_kind_are_left_to_the_one_who_asks(new, model):
+    share, (first, second, *_) = Elsewhere(), points(model)
+    with shared_by(share):
+        solve_shared([(Other(), first), (Altered(Other()), first)])
+        run_shared(fitted, [(Other(), first), (Altered(Other()), second)])
+    assert share.calls == []
