@@ -19,7 +19,7 @@ from calib.analyses.case import CaseFinder
 from calib.analyses.case_found import CaseFound
 from calib.analyses.compare import ComparisonResult, compare, nominal_comparison
 from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_response
-from calib.analyses.explain import misfit_intervals
+from calib.analyses.explain import has_misfit_intervals, misfit_intervals
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.fit_statistics import FitProblem
 from calib.analyses.joint_responses import Responses, own_values
@@ -29,6 +29,7 @@ from calib.analyses.provenance.recorded import ledger_keys_of_modes, recorded
 from calib.analyses.provenance.stored import confirmed
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import wide_sentence_of
+from calib.analyses.usable_effects import require_usable
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
@@ -107,6 +108,8 @@ def calibrated(
     """
     chosen: Method = run.method or study.settings.calibration.method
     _require_one_test(study, chosen)
+    if has_misfit_intervals(study):  # which rest on the effects, when everything else is done
+        require_usable(study, composed=False)
     cases, ledger, progress = chosen_cases(study, run.only), run.ledger, run.progress
     seconds = [confirmed(one, ledger) for one in study.studies]
     study = study.each(lambda one: recorded(one, ledger, run.workers))

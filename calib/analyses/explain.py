@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import gc
 import time
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -22,6 +22,7 @@ from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
 from calib.analyses.uncertain import uncertain_note
+from calib.analyses.usable_effects import require_usable
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.memory import giving_back
 from calib.execution.outcome import as_cause, failure
@@ -48,10 +49,8 @@ from calib.missing.settings import Settings, require_enough
 from calib.missing.verdict import NO_DOUBTS, Doubts
 from calib.missing.verdict_words import with_full_stop
 from calib.problem.candidate import Candidate
-from calib.problem.effect import Effect
 from calib.problem.joint import TEST, JointRows, of_test
 from calib.results.results import Results
-from calib.study.loading import Model, with_effects
 from calib.study.settings import ExplainSettings
 from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
@@ -109,7 +108,7 @@ def explanation_of(
     ``begin`` are the values of a calibration, from which the fit of the model as it is begins.
     """
     tests, progress = study.studies, giving_back(progress)
-    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
+    require_usable(study)
     pairs = {one.test: one.pair for one in tests}
     require_enough(JointRows(pairs).rows, len(study.search_space.free))
     started, stated = time.perf_counter(), study.settings.explain.mesh_sd
@@ -155,6 +154,11 @@ def _begin(study: AnyStudy, results: Results) -> dict[str, float] | None:
     return None
 
 
+def has_misfit_intervals(study: AnyStudy) -> bool:
+    """Whether `misfit_intervals` are known of its tests: of modes or FRFs of models of matrices."""
+    return all(one.problem.reducible is not None for one in study.studies)
+
+
 def misfit_intervals(
     study: AnyStudy,
     values: Mapping[str, float],
@@ -180,7 +184,7 @@ def misfit_intervals(
         `calib.missing.discrepancy.COLUMNS`; empty where a test is not one of modes or FRFs of a model of matrices, and
         where the fit cannot be evaluated.
     """
-    if not all(one.problem.reducible is not None for one in study.studies):
+    if not has_misfit_intervals(study):
         return pd.DataFrame(columns=list(COLUMNS))
     progress("intervals with the misfit")
     try:
@@ -194,28 +198,6 @@ def misfit_intervals(
         return pd.DataFrame(columns=list(COLUMNS))
     table = parameter_intervals(fit, discrepancy(fit, tested) if len(tested.owners) else None)
     return table[table["parameter"].isin(study.search_space.free_names)].reset_index(drop=True)
-
-
-def require_usable(libraries: Iterable[tuple[Model, Sequence[Effect]]], place: str) -> None:
-    """InputError, before any solve, where an effect cannot be built or two models have different ones of one name."""
-    known: dict[str, Effect] = {}
-    for model, effects in libraries:
-        every = [one for simplest in effects for one in simplest.family]
-        try:
-            with_effects(model, effects, place)  # hundreds at once
-            of_family = (one for simplest in effects for one in simplest.family if one is not simplest)
-            alone = [one for one in of_family if not one.generic]  # these are made to fit
-        except InputError:
-            alone = every  # to tell which one does not fit
-        for effect in alone:
-            with_effects(model, [effect], place)
-        for effect in every:
-            other = known.setdefault(effect.name, effect)
-            if other.parameters != effect.parameters:
-                raise InputError(
-                    f"two models have different effects {effect.name!r}", place=place,
-                    remedy="give one of them another name, or both the same parameters",
-                )  # fmt: skip
 
 
 def _doubts(tests: Sequence[LoadedStudy]) -> Doubts:

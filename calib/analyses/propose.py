@@ -16,12 +16,12 @@ import numpy as np
 import pandas as pd
 import tomlkit
 
-from calib.analyses.explain import require_usable
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
 from calib.analyses.hypotheses_of_study import adapter_for
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.stale import stale_answers
+from calib.analyses.usable_effects import require_usable
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.proposals.code import FUNCTION, library_text
@@ -164,7 +164,7 @@ def propose(
         remedy = f"add what was named: calib extend {shell_argument(study.file)} {names} --into FOLDER"
         found = ProposalResult(None, not_sought(explained.verdict, explained.named, remedy))
         return _kept(study, results, found, count)
-    require_usable([(one.model, one.candidates) for one in tests], str(study.file))
+    require_usable(study)
     found = compose_for(study, results, explained, count, progress, homes)
     if found.proposals is not None and found.proposals.ranked and not found.proposals.measurement:
         found = _written(study, results, found)

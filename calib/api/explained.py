@@ -16,9 +16,9 @@ from calib.analyses.provenance.stored import with_passing
 from calib.api.arguments import explain_settings
 from calib.api.display import Displayed
 from calib.api.entries.entry import Entry
-from calib.api.pairs import generic_of, including, library_of, reporting
+from calib.api.pairs import including, is_generic, lacking_effects, reporting
 from calib.api.proposed import Proposed, proposed
-from calib.api.protocols import Candidates, Effects, Finer, P
+from calib.api.protocols import Candidates, Finer, P
 from calib.errors.arguments import objects
 from calib.errors.errors import InputError
 from calib.execution.executor import AnyExecutor, injected
@@ -28,7 +28,6 @@ from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.problem.effect import Effect
 from calib.results.ledger import Ledger
 from calib.structure.model import StructuralModel
-from calib.study.loading import lacking, require_distinct
 from calib.study.measurement_settings import GENERIC
 from calib.study.settings import ExplainSettings, StudySettings
 
@@ -187,14 +186,9 @@ def explained(
     executor: AnyExecutor | None = None,
 ) -> Explained[P]:
     """See `calib.api.problem.Problem.explain`."""
-    known, models = problem.settings.with_effects, [model for model, _ in problem.by_model]
-    generic = isinstance(effects, str) and effects == GENERIC
-    listed = generic_of(problem) if generic else library_of(problem, cast(Effects, effects))
-    library = {name: lacking(own, known) for name, own in listed.items()}
-    for model in models:
-        require_distinct(library.get(model.name, ()), model, "effects")
+    models, library = [model for model, _ in problem.by_model], lacking_effects(problem, effects)
     settings = explain_settings(problem.settings, keys, reduction)
-    settings = settings.model_copy(update={"effects": GENERIC if generic else None})
+    settings = settings.model_copy(update={"effects": GENERIC if is_generic(effects) else None})
     refined = {name: mesh for name, mesh in getattr(problem, "finer", {}).items() if isinstance(mesh, StructuralModel)}
     meshes = finer_of(models, finer) or refined
     if meshes or any(test.shows_mesh for _, test in problem.pairs):  # else it does not count, which is told

@@ -27,7 +27,7 @@ from calib.api.arguments import (
 )
 from calib.api.display import Compared, Displayed, compared
 from calib.api.entries.entry import Entry
-from calib.api.pairs import ledger_or_memory, reporting
+from calib.api.pairs import lacking_effects, ledger_or_memory, reporting
 from calib.api.protocols import Candidates, Finer, P
 from calib.errors.arguments import path as path_of
 from calib.execution.executor import AnyExecutor, injected
@@ -370,13 +370,14 @@ def calibrated_fit(
     keys: Mapping[str, Any],
     cases: int | Sequence[int] | None,
     seed: int | None,
+    effects: Candidates,
     reduction: bool | Mapping[str, Any] | None,
     executor: AnyExecutor | None,
     progress: bool,
 ) -> Fit[P]:
     """See `calib.api.problem.Problem.calibrate`."""
     settings = calibration_settings(problem.settings, keys, cases, seed, reduction, verb)
-    study = problem.study(settings)
+    study = problem.study(settings, lacking_effects(problem, effects))
     with (
         injected(executor) as workers, reporting(verb, progress) as step, ledger_or_memory(problem.ledger) as ledger,
         tasks_shared(workers),

@@ -23,12 +23,13 @@ from calib.problem.problem import PairProblem as OneTestProblem
 from calib.problem.space import ParameterSpace
 from calib.results.ledger import Ledger
 from calib.study.in_memory import TestedModel, study_in_memory
-from calib.study.loading import extended
+from calib.study.loading import extended, lacking, require_distinct
+from calib.study.measurement_settings import GENERIC
 from calib.study.settings import StudySettings
 from calib.study.several import AnyStudy
 
 if TYPE_CHECKING:
-    from calib.api.protocols import Effects, ProblemLike
+    from calib.api.protocols import Candidates, Effects, ProblemLike
 
 
 def ledger_at(ledger: Any) -> Ledger | None:
@@ -176,6 +177,23 @@ def generic_of(problem: ProblemLike) -> dict[str, tuple[Effect, ...]]:
         out[name] = generic_effects(base, sensed, taken)
         taken += [parameter for effect in out[name] for parameter in effect.names]
     return out
+
+
+def lacking_effects(problem: ProblemLike, effects: Candidates) -> dict[str, tuple[Effect, ...]]:
+    """Effects that a problem's models may lack, by the name of the model; those that they have are left out.
+
+    InputError for an unknown model, and where two parameters share a name.
+    """
+    listed = generic_of(problem) if is_generic(effects) else library_of(problem, cast(Any, effects))
+    library = {name: lacking(own, problem.settings.with_effects) for name, own in listed.items()}
+    for model, _ in problem.by_model:
+        require_distinct(library.get(model.name, ()), model, "effects")
+    return library
+
+
+def is_generic(effects: Candidates) -> bool:
+    """Whether effects are to be composed of the models' own parts."""
+    return isinstance(effects, str) and effects == GENERIC
 
 
 def by_model(pairs: Sequence[tuple[Model, Test]]) -> tuple[tuple[Model, tuple[Test, ...]], ...]:

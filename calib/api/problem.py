@@ -214,8 +214,8 @@ class Problem:
     def calibrate(
         self,
         parameters: Sequence[str] = (), *, cases: int | Sequence[int] | None = None, seed: int | None = None,
-        reduction: bool | Mapping[str, Any] | None = None, executor: AnyExecutor | None = None,
-        progress: bool = True, **keys: Unpack[CalibrationKeys],
+        effects: Candidates = (), reduction: bool | Mapping[str, Any] | None = None,
+        executor: AnyExecutor | None = None, progress: bool = True, **keys: Unpack[CalibrationKeys],
     ) -> Fit[Problem]:  # fmt: skip
         """Fit the parameters as a study does, and assess which of them the data determine.
 
@@ -232,6 +232,9 @@ class Problem:
             Number of independent runs, with seeds ``seed, seed + 1, ...``, or their seeds; one by default.
         seed : int, optional
             Seed of the first case. Same seed, same fit, whatever the executor.
+        effects : sequence of Effect, mapping from str to sequences of them, or "generic"
+            Effects that the models may lack, as in `explain`: where a fit is rejected, its intervals with the misfit
+            take each of them to be there a little. A study takes those of its library.
         reduction : bool or mapping, optional
             Whether large models are reduced, or keys of ``[reduction]``: ``use``, ``tolerance``, ``seed``.
         executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
@@ -245,8 +248,7 @@ class Problem:
             ``start_population``, ``weight_freq``, ``weight_mac``, ``population``, ``generations``, ``crossover``,
             ``mutation``, ``sigma_start``, ``sigma_end``, ``freq_kind``, ``varies`` (parameters with a value of their
             own in each test), and of ``[explain]`` ``alpha`` and ``mesh_sd`` (error of the mesh, over the change to
-            that of ``finer``); see
-            `calib.study.search_settings.CalibrationSettings`.
+            that of ``finer``); see `calib.study.search_settings.CalibrationSettings`.
 
         Raises
         ------
@@ -257,19 +259,15 @@ class Problem:
         """
         from calib.api.fit import calibrated_fit
 
-        return calibrated_fit(self._of(parameters), "calibrate", keys, cases, seed, reduction, executor, progress)
+        own = self._of(parameters)
+        return calibrated_fit(own, "calibrate", keys, cases, seed, effects, reduction, executor, progress)
 
     def search(
         self,
-        parameters: Sequence[str] = (),
-        *,
-        cases: int | Sequence[int] = 3,
-        seed: int | None = None,
-        reduction: bool | Mapping[str, Any] | None = None,
-        executor: AnyExecutor | None = None,
-        progress: bool = True,
-        **keys: Unpack[SearchKeys],
-    ) -> Fit[Problem]:
+        parameters: Sequence[str] = (), *, cases: int | Sequence[int] = 3, seed: int | None = None,
+        effects: Candidates = (), reduction: bool | Mapping[str, Any] | None = None,
+        executor: AnyExecutor | None = None, progress: bool = True, **keys: Unpack[SearchKeys],
+    ) -> Fit[Problem]:  # fmt: skip
         """Fit by genetic searches from several seeds, followed by least squares: `calibrate` by ``"genetic"``.
 
         The search minimises the sum over all tests of relative errors of frequencies and scalar responses and of MAC
@@ -278,7 +276,7 @@ class Problem:
 
         Parameters
         ----------
-        parameters, cases, seed, reduction, executor, progress, **keys
+        parameters, cases, seed, effects, reduction, executor, progress, **keys
             As in `calibrate`.
 
         Raises
@@ -288,8 +286,8 @@ class Problem:
         """
         from calib.api.fit import calibrated_fit
 
-        genetic = {**keys, "method": "genetic"}
-        return calibrated_fit(self._of(parameters), "search", genetic, cases, seed, reduction, executor, progress)
+        own, genetic = self._of(parameters), {**keys, "method": "genetic"}
+        return calibrated_fit(own, "search", genetic, cases, seed, effects, reduction, executor, progress)
 
     def sensitivity(
         self,

@@ -4,12 +4,14 @@ import runpy
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 import calib
 from calib.analyses.explain import explain, write_explanation
 from calib.api.entries.explained import _predictions
+from calib.command import cli
 from calib.results.results import Results
 from calib.study.study import LoadedStudy
 
@@ -85,6 +87,38 @@ def test_a_rejected_calibration_gives_intervals_that_know_of_the_misfit(mast, tm
     for segment, (name, row) in zip(drawn.get_segments(), table.reindex(fit.parameters.index).iterrows(), strict=True):
         ends = [(row[f"{end}_unexplained"] - space[name].lower) for end in ("low", "high")]
         assert segment[:, 0] * (space[name].upper - space[name].lower) == pytest.approx(ends, rel=1e-6)
+
+
+@pytest.mark.medium
+def test_they_know_of_the_effects_that_the_model_may_lack_in_python_as_in_a_study(mast, tmp_path):
+    study = calibrated(mast, tmp_path, {"guy": 12000.0})
+    own = study.calibrate().of.with_misfit
+    mine = study.problem.calibrate(effects=study.effects, progress=False).calibration.with_misfit
+    pd.testing.assert_frame_equal(mine, own, rtol=1e-6)
+    alone = study.problem.calibrate(progress=False).calibration.with_misfit
+    assert (alone["value"] - own["value"]).abs().max() < 1e-6 * own["value"].max()
+    assert not np.allclose(alone["value_unexplained"], own["value_unexplained"], rtol=1e-4)
+
+
+@pytest.mark.medium
+@pytest.mark.parametrize("door", ["command", "python"])
+def test_an_effect_that_cannot_be_built_is_refused_before_a_fit_begins(mast, tmp_path, door, capsys):
+    folder = mast.write_study(tmp_path / "mast", {"guy": 12000.0})
+    text = (folder / "effects.py").read_text()
+    broken = text.replace("        rows = [", '        raise RuntimeError("no such joint")\n        rows = [')
+    assert broken != text
+    (folder / "effects.py").write_text(broken)
+    if door == "command":
+        assert cli.execute(["calibrate", str(folder), "--results", str(tmp_path / "r")]) == 2
+        told = capsys.readouterr().err
+        assert not list((tmp_path / "r").rglob("parameters.csv"))
+    else:
+        study = calib.Study.load(folder, progress=False)
+        with pytest.raises(calib.InputError) as refused:
+            study.problem.calibrate(effects=study.effects, progress=False)
+        told = str(refused.value)
+    assert "no such joint" in told and "effects.py" in told
+    assert "Traceback" not in told
 
 
 @pytest.mark.medium

@@ -34,6 +34,11 @@ def doors(request, tmp_path_factory):
     return study, study.problem
 
 
+def library_of(study):
+    """Effects that the models of a study may lack, as a problem in memory takes them."""
+    return {one.model.name: one.candidates for one in study.loaded.studies}
+
+
 def same(mine, own, numbers=1e-7, least=1e-12):
     pd.testing.assert_frame_equal(mine, own, check_exact=False, rtol=numbers, atol=least)
 
@@ -49,7 +54,7 @@ def test_a_comparison_is_the_same(doors):
 @pytest.mark.medium
 def test_a_calibration_is_the_same(doors):
     study, problem = doors
-    own, mine = study.calibrate().of, problem.calibrate(progress=False)
+    own, mine = study.calibrate().of, problem.calibrate(effects=library_of(study), progress=False)
     assert mine.answer == own.answer
     same(mine.parameters.reset_index(), own.verdicts)
     assert set(mine.calibration.tables) == set(own.tables)
@@ -67,8 +72,8 @@ def test_an_explanation_is_the_same(doors):
     study, problem = doors
     study.calibrate()  # an explanation begins at the calibration of the folder, and at the fit on which it is called
     own = study.explain().of
-    library = {one.model.name: one.candidates for one in study.loaded.studies}
-    mine = problem.calibrate(progress=False).explain(library, progress=False)
+    library = library_of(study)
+    mine = problem.calibrate(effects=library, progress=False).explain(library, progress=False)
     assert (mine.verdict, mine.explanation.answer) == (own.verdict, own.answer)
     same(mine.explanation.effects, own.effects, 1e-6)
     assert mine.explanation.notes == own.notes
