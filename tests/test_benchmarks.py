@@ -2,12 +2,14 @@
 
 import importlib
 import json
+import math
 import shutil
 import sys
 import tomllib
 from importlib.util import find_spec
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 BENCH = Path(__file__).resolve().parent / "benchmarks"
@@ -128,6 +130,25 @@ def test_widths_of_two_ways_are_compared_where_both_name_the_effect(bench, capsy
 def test_without_intervals_no_widths_are_told(bench, capsys):
     bench("rates_beside").report_widths({"joint": [_run(1)], "modes": [_run(1)]})
     assert capsys.readouterr().out == ""
+
+
+@pytest.mark.parametrize("kind", ["shells", "solids"])
+def test_shells_and_solids_have_the_mass_and_the_energy_of_a_stretched_body(bench, kind):
+    """A body of volume V that is stretched along x, and is free to contract, stores E strain^2 V / 2."""
+    continua = bench("continua")
+    of = getattr(continua, kind)(1500)
+    model = {"shells": continua.roof, "solids": continua.block}[kind](1500)
+    stiff, _, mass = model.matrices(dict.fromkeys(model.space.names, 2.0))
+    elastic = stiff - model.matrices(dict.fromkeys(model.space.names, 1.0))[0]  # without the springs
+    chord = np.linalg.norm(of.nodes[of.corners[0, 3]] - of.nodes[of.corners[0, 0]])
+    across = round(math.sqrt(1500 / 12))
+    volume = 8 * across * chord * continua.THICKNESS if kind == "shells" else 2 * 1 * 0.5
+    moved = np.zeros((len(of.nodes), of.motions))
+    moved[:, 0] = 1.0
+    assert moved.ravel() @ mass @ moved.ravel() == pytest.approx(continua.DENSITY * volume)
+    moved[:, :3] = 1e-3 * of.nodes * [1.0, -continua.POISSON, -continua.POISSON]
+    energy = moved.ravel() @ elastic @ moved.ravel() / 2
+    assert energy == pytest.approx(continua.YOUNG * 1e-6 * volume / 2)
 
 
 @pytest.mark.slow
