@@ -8,7 +8,7 @@ import pytest
 import calib
 from calib.analyses.explain import decision
 from calib.analyses.hypotheses_of_study import adapter_for, adapters_for
-from calib.api.explained import library_of
+from calib.api.pairs import library_of
 from calib.correlation import basis as requirements
 from calib.errors.errors import EvaluationError
 from calib.execution.stage import silent
