@@ -35,7 +35,7 @@ $(VENV)/.installed: $(VENV)/.created pyproject.toml constraints.txt
 
 # The oracles are compiled packages that not every platform has; the tests that use them are then skipped.
 $(VENV)/.installed-dev: $(VENV)/.created pyproject.toml constraints.txt
-	$(PIP) install --quiet -c constraints.txt -e '.[dev,docs,ambient,posterior,files,metamodel,workbench,cluster]'
+	$(PIP) install --quiet -c constraints.txt -e '.[dev,docs,ambient,posterior,files,metamodel,workbench,cluster,metis]'
 	@$(PIP) install --quiet -c constraints.txt -e '.[oracles]' \
 	    || echo 'The oracles could not be installed; the tests that compare with them will be skipped.'
 	@touch $(VENV)/.installed $@

@@ -23,7 +23,7 @@ from scipy.linalg import lapack
 from calib.errors.errors import EvaluationError
 from calib.measurement.frf import Quantity
 from calib.structure.eigenproblem.derivatives import DifferentiableModel, Matrix
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 
 _ORDER = {"receptance": 0, "mobility": 1, "accelerance": 2}
 
@@ -273,8 +273,8 @@ def _sparse_solution(scaled: sp.csc_matrix, loads: np.ndarray, freq: float) -> n
     size = abs(scaled)
     for near_diagonal in True, False:
         try:
-            factor = symmetric_factor(scaled, _THRESHOLD) if near_diagonal else spla.splu(scaled)
-            _check_pivots(np.abs(factor.U.diagonal()), freq)
+            factor = symmetric_factor(scaled, _THRESHOLD) if near_diagonal else SymmetricFactor(spla.splu(scaled))
+            _check_pivots(np.abs(factor.pivots), freq)
         except (RuntimeError, EvaluationError):
             if not near_diagonal:
                 raise _resonance(freq) from None

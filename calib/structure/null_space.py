@@ -11,8 +11,8 @@ import scipy.sparse as sp
 from calib.errors.errors import InputError
 from calib.structure.affine import AffineMatrix, Term
 from calib.structure.dof_table import DofTable
-from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.eigenproblem.krylov import start_vector
+from calib.structure.eigenproblem.symmetric_factor import symmetric_factor
 from calib.structure.rules import RULES
 
 _SHIFT, _MORE = 1e-13, 10.0
@@ -110,12 +110,11 @@ def _vanishing(scaled: sp.csc_array) -> np.ndarray:
     found = []
     for shift in (_SHIFT, _MORE * _SHIFT):
         try:
-            lu = symmetric_factor(sp.csc_array(scaled + shift * sp.eye_array(scaled.shape[0])))
+            lu = symmetric_factor(sp.csc_array(scaled + shift * sp.eye_array(scaled.shape[0])), dissected=False)
         except RuntimeError:
             return np.zeros(0, dtype=int)
-        pivots = np.empty(scaled.shape[0])
-        pivots[np.argsort(lu.perm_c)] = lu.U.diagonal()
-        if not np.array_equal(lu.perm_r, lu.perm_c) or pivots.min() < 0:
+        pivots = lu.pivots
+        if not lu.on_diagonal or pivots.min() < 0:
             return np.zeros(0, dtype=int)
         found.append(pivots)
         if pivots.min() > RULES.null_pivot:

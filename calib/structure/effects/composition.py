@@ -9,12 +9,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.measurement.places import Point
 from calib.problem.effect import Effect
 from calib.structure.effects.composed import Builder
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 from calib.structure.model import StructuralModel
 
 
@@ -81,7 +80,7 @@ class HungBy:
     fixed: str
 
 
-def dynamic_factor(model: StructuralModel, values: Mapping[str, float], freq: float) -> spla.SuperLU:
+def dynamic_factor(model: StructuralModel, values: Mapping[str, float], freq: float) -> SymmetricFactor:
     """Factor of ``K + omega^2 M`` at a frequency in Hz: flexibilities at places, those of a free body finite too."""
     stiffness, _, mass = model.matrices(values)
     return symmetric_factor(sp.csc_array(stiffness + (2 * np.pi * freq) ** 2 * mass))

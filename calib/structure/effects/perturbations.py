@@ -15,7 +15,7 @@ from calib.problem.space import Parameter
 from calib.structure.affine import Monomial, Term
 from calib.structure.effects.attach import outer_term, parts_of
 from calib.structure.effects.extend import Addition
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.symmetric_factor import symmetric_factor
 from calib.structure.function_parts import ScaledPart
 from calib.structure.model import Part, StructuralModel
 from calib.structure.rules import RULES

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.structure.eigenproblem.damped_problem import real_times
-from calib.structure.eigenproblem.inertia import bordered, symmetric_factor
+from calib.structure.eigenproblem.inertia import bordered
 from calib.structure.eigenproblem.known_modes import bands, iterated, rigid_modes
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 from calib.structure.modes import Modes
 
 Matrix = Any
@@ -117,9 +117,9 @@ class _Modes:
         if self._at_once:
             _ = self.products
 
-    def _factor(self, shift: float) -> spla.SuperLU:
+    def _factor(self, shift: float) -> SymmetricFactor:
         """At a shift, a squared frequency; the last one is kept."""
-        kept: dict[float, spla.SuperLU] = self.__dict__.setdefault("_factors", {})
+        kept: dict[float, SymmetricFactor] = self.__dict__.setdefault("_factors", {})
         if shift not in kept:
             kept.clear()
             kept[shift] = symmetric_factor(sp.csc_array(self._at(shift)) if shift else self.k)

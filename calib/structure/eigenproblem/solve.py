@@ -13,8 +13,9 @@ import scipy.sparse.linalg as spla
 from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.deflation import deflated_eigenvectors
 from calib.structure.eigenproblem.eigenvalues import RotationalShare, damped_modes, is_zero, real_modes
-from calib.structure.eigenproblem.inertia import count_below, symmetric_factor
+from calib.structure.eigenproblem.inertia import count_below
 from calib.structure.eigenproblem.krylov import lowest_eigenpairs, start_vector
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.null_space import answers_with_null_motion, common_null_space, motions_in_words
 
@@ -162,7 +163,7 @@ def _real_modes(
         requested, again = min(2 * requested if again else requested + 2 * lacking + 4, n), True
 
 
-def _rigid_count(lu: spla.SuperLU, stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> int:
+def _rigid_count(lu: SymmetricFactor, stiffness: sp.csc_array, mass: sp.csc_array, shift: float) -> int:
     """Number of rigid-body motions and mechanisms, up to `_RIGID`, by inverse iteration, of one vector first.
 
     They come first: a request without them would hold too few modes, and the whole iteration would be repeated. 0 where
@@ -200,7 +201,7 @@ def _refined(
 def _with_deflated_real(
     squares: np.ndarray,
     shapes: np.ndarray,
-    lu: spla.SuperLU,
+    lu: SymmetricFactor,
     stiffness: sp.csc_array,
     mass: sp.csc_array,
     count: int,
@@ -299,7 +300,7 @@ def _complex_modes(
     return damped_modes(eigenvalues, displacement, damping, mass, count, shift, rotational_share)
 
 
-def _typical_speed(lu: spla.SuperLU, mass: sp.csc_array) -> float:
+def _typical_speed(lu: SymmetricFactor, mass: sp.csc_array) -> float:
     """A frequency in rad/s that balances displacements and velocities in the state vector."""
     x = start_vector(mass.shape[0])
     for _ in range(2):

@@ -10,10 +10,10 @@ from typing import Protocol
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.execution.tasks import each
 from calib.structure.eigenproblem.solve import solve_modes
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor
 from calib.structure.elongations import few_motions
 from calib.structure.model import StructuralModel
 from calib.structure.modes import Modes
@@ -109,7 +109,7 @@ class Growth:
         self.matrix = reference_matrix(model, self.reference, basis.offset)
 
     @cached_property
-    def factor(self) -> spla.SuperLU:
+    def factor(self) -> SymmetricFactor:
         """Factor of the inner product."""
         return reference_factor(self.model, self.reference, self.offset)
 

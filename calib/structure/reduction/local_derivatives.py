@@ -15,8 +15,8 @@ from calib.execution.tasks import each
 from calib.structure.effects.extend import extend
 from calib.structure.effects.perturbations import Perturbation
 from calib.structure.eigenproblem.damped_problem import real_times
-from calib.structure.eigenproblem.inertia import symmetric_factor
 from calib.structure.eigenproblem.mode_systems import NEIGHBOUR, eigenvalues
+from calib.structure.eigenproblem.symmetric_factor import symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.reduction.basis import Basis
 from calib.structure.reduction.growth import Growth, fewest

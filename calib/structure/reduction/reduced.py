@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.errors.errors import EvaluationError, InputError
 from calib.measurement.modal import Sensor
@@ -20,8 +19,8 @@ from calib.problem.space import ParameterSpace
 from calib.structure.effects.extend import extend
 from calib.structure.eigenproblem.damped_problem import real_times
 from calib.structure.eigenproblem.derivatives import Analytic
-from calib.structure.eigenproblem.inertia import solved_by_parts, symmetric_factor
 from calib.structure.eigenproblem.solve_dense import solve_dense
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 from calib.structure.energy import shares_of, strain_energy
 from calib.structure.geometry import Mesh
 from calib.structure.model import Assumption, StructuralModel
@@ -46,7 +45,7 @@ class ReducedModel(Analytic):
     basis : Basis
     inner : ReducedModel, optional
         The reduced base model that ``model`` and ``basis`` extend: its projections are shared, see `extended`.
-    factor : SuperLU, optional
+    factor : SymmetricFactor, optional
         Of `reference_matrix` at the reference values of the basis, where it is known; of ``inner`` where that is given.
 
     Raises
@@ -58,7 +57,7 @@ class ReducedModel(Analytic):
     model: StructuralModel
     basis: Basis
     inner: ReducedModel | None = None
-    factor: spla.SuperLU | None = field(default=None, repr=False)
+    factor: SymmetricFactor | None = field(default=None, repr=False)
     _stiffness: ReducedMatrix = field(init=False, repr=False)
     _damping: ReducedMatrix = field(init=False, repr=False)
     _mass: ReducedMatrix = field(init=False, repr=False)
@@ -321,13 +320,13 @@ class ReducedModel(Analytic):
         if self.inner is not None and self.factor is None:
             parts = [self.inner.static_response(forces[:own])]
         else:
-            parts = [solved_by_parts(self._reference_factor, forces[:own])]
+            parts = [self._reference_factor.solve_by_parts(forces[:own])]
         if self.model.n_dof > own:
             parts.append(la.solve(self._stiffness_of_added, forces[own:], assume_a="sym"))
         return np.concatenate(parts)
 
     @cached_property
-    def _reference_factor(self) -> spla.SuperLU:
+    def _reference_factor(self) -> SymmetricFactor:
         return self.factor or reference_factor(self.model, self.basis.reference_values, self.basis.offset)
 
     @cached_property
@@ -353,7 +352,7 @@ def reference_matrix(model: StructuralModel, values: Mapping[str, float], offset
     return sp.csc_array(model.stiffness.unselected(si) + offset * model.mass(si))
 
 
-def reference_factor(model: StructuralModel, values: Mapping[str, float], offset: float) -> spla.SuperLU:
+def reference_factor(model: StructuralModel, values: Mapping[str, float], offset: float) -> SymmetricFactor:
     """Factor of `reference_matrix`; EvaluationError when it is singular."""
     try:
         return symmetric_factor(reference_matrix(model, values, offset))

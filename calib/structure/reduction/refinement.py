@@ -12,9 +12,10 @@ import scipy.sparse as sp
 from calib.errors.errors import EvaluationError
 from calib.structure.eigenproblem.derivatives import eigenvalues
 from calib.structure.eigenproblem.eigenvalues import is_zero
-from calib.structure.eigenproblem.inertia import count_below, solved_by_parts, symmetric_factor
+from calib.structure.eigenproblem.inertia import count_below
 from calib.structure.eigenproblem.solve import rotational_share_of
 from calib.structure.eigenproblem.solve_dense import solve_dense
+from calib.structure.eigenproblem.symmetric_factor import symmetric_factor
 from calib.structure.modes import Modes
 from calib.structure.reduction.reduced import ReducedModel
 
@@ -137,7 +138,7 @@ def refined_modes(
     space.add(np.hstack([reduced.lift(_rigid(reduced, values)), real_columns(modes.shapes)]))
     error, waiting = np.full(count, np.inf), np.arange(count)
     for _ in range(STEPS):
-        correction = solved_by_parts(factor, rest[:, waiting])
+        correction = factor.solve_by_parts(rest[:, waiting])
         error[waiting] = np.abs(np.einsum("ij,ij->j", rest[:, waiting].conj(), correction)) / _size(modes)[waiting]
         space.add(real_columns(correction))
         basis = space.basis

@@ -16,10 +16,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg as la
 import scipy.sparse as sp
-import scipy.sparse.linalg as spla
 
 from calib.errors.errors import EvaluationError, InputError
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.symmetric_factor import SymmetricFactor, symmetric_factor
 
 _SINGULAR = 1e-13
 """Smallest pivot over the largest below which slaves are taken to move without strain; also of the reduced mass."""
@@ -176,12 +175,12 @@ def _checked(masters: Sequence[int] | np.ndarray, n_dof: int) -> np.ndarray:
     return chosen
 
 
-def _factor(k_ss: sp.csc_array, slaves: np.ndarray) -> spla.SuperLU:
+def _factor(k_ss: sp.csc_array, slaves: np.ndarray) -> SymmetricFactor:
     try:
         factor = symmetric_factor(k_ss)
     except RuntimeError as fault:
         raise _loose(k_ss, slaves) from fault
-    pivots = np.abs(factor.U.diagonal())
+    pivots = np.abs(factor.pivots)
     if not pivots.min() > _SINGULAR * pivots.max():
         raise _loose(k_ss, slaves)
     return factor

@@ -16,7 +16,7 @@ from calib.correlation.modal.residual import ModalResidual
 from calib.correlation.standard_deviations import Floors
 from calib.measurement.mac import mac
 from calib.structure import Addition, Modes, extend
-from calib.structure.eigenproblem.inertia import symmetric_factor
+from calib.structure.eigenproblem.symmetric_factor import symmetric_factor
 
 STD_FREQ, STD_DAMPING, STD_SHAPE = 0.005, 0.07, 0.025
 """Standard deviation of the mean of five repeats: relative, relative, of the largest motion."""
@@ -279,7 +279,7 @@ def _negative(matrix: sp.csr_array) -> int:
     """Directions in which a matrix is negative beyond rounding."""
     scale = sp.diags_array(1 / np.sqrt(np.maximum(abs(matrix).max(axis=0).toarray().ravel(), 1e-12)))
     scaled = scale @ matrix @ scale + LEAST_PIVOT * sp.eye_array(matrix.shape[0])
-    return int(np.count_nonzero(symmetric_factor(sp.csc_array(scaled)).U.diagonal() < 0))
+    return int(np.count_nonzero(symmetric_factor(sp.csc_array(scaled)).pivots < 0))
 
 
 def frequency_changes(
