@@ -22,6 +22,7 @@ from calib.analyses.every_mode import all_stages, errors_at, every_mode, every_r
 from calib.analyses.explain import has_misfit_intervals, misfit_intervals
 from calib.analyses.failures import reasons_sentence, stored_reasons
 from calib.analyses.fit_statistics import FitProblem
+from calib.analyses.hypotheses_of_study import require_usable
 from calib.analyses.joint_responses import Responses, own_values
 from calib.analyses.provenance.places import Workers
 from calib.analyses.provenance.record import write_record
@@ -29,7 +30,6 @@ from calib.analyses.provenance.recorded import ledger_keys_of_modes, recorded
 from calib.analyses.provenance.stored import confirmed
 from calib.analyses.reduction import fingerprints
 from calib.analyses.sensitivity import wide_sentence_of
-from calib.analyses.usable_effects import require_usable
 from calib.correlation.modal.comparison import Comparison
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent

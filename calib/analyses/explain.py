@@ -17,12 +17,11 @@ from calib.analyses.added import to_add
 from calib.analyses.compare import comparison_at
 from calib.analyses.explained_fit import TABLE, explained_fits
 from calib.analyses.failures import SHOWN, reasons
-from calib.analyses.hypotheses_of_study import WIDENED, adapter_for, generic_note, near_fit
+from calib.analyses.hypotheses_of_study import WIDENED, adapter_for, generic_note, near_fit, require_usable
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.state import ADDED, EXPLAINED, PROPOSED
 from calib.analyses.staged import stored_calibration
 from calib.analyses.uncertain import uncertain_note
-from calib.analyses.usable_effects import require_usable
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.memory import giving_back
 from calib.execution.outcome import as_cause, failure

@@ -18,10 +18,9 @@ import tomlkit
 
 from calib.analyses.explained_fit import explained_fit
 from calib.analyses.extend import NAME, anywhere, draft_of, put_among, require_valid, set_aside, unwritable
-from calib.analyses.hypotheses_of_study import adapter_for
+from calib.analyses.hypotheses_of_study import adapter_for, require_usable
 from calib.analyses.provenance.record import begin_analysis, write_record
 from calib.analyses.provenance.stale import stale_answers
-from calib.analyses.usable_effects import require_usable
 from calib.errors.errors import EvaluationError, InputError
 from calib.execution.stage import Progress, silent
 from calib.hypotheses.proposals.code import FUNCTION, library_text
