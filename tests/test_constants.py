@@ -182,6 +182,7 @@ SPEED = {  # memory, time, processes; results are the same
     "problem/shared_points.py": "_MODELS",
     "structure/eigenproblem/known_modes.py": "_STEPS _FACTOR _BORDERED _COLUMN",
     "structure/eigenproblem/solve.py": "DENSE_LIMIT",
+    "structure/eigenproblem/symmetric_factor.py": "DISSECTED _KEPT",
     "structure/eigenproblem/solve_dense.py": "_FEW _LARGE",
     "study/study_file.py": "_KEPT",
     "study/settings.py": "_GRACE",
