@@ -61,13 +61,23 @@ def test_pivots_stand_at_the_rows_of_the_matrix(order):
     assert symmetric_factor(sp.csc_array(matrix)).pivots[alone].tolist() == [11.0, 12.0, 13.0]
 
 
-def test_a_pattern_may_lack_an_entry_on_one_side(order):
-    """Where terms cancel, rounding can leave one of two entries."""
+@pytest.mark.skipif(not find_spec("pymetis"), reason="the extra 'metis' is not installed")
+def test_an_entry_that_is_there_on_one_side_joins_both_rows(monkeypatch):
+    """Where terms cancel, rounding can leave one of two entries; METIS takes symmetric graphs alone."""
+    import pymetis
+
+    dissect, seen = pymetis.nested_dissection, []
+    monkeypatch.setattr(own, "DISSECTED", 0)
+    monkeypatch.setattr(pymetis, "nested_dissection", lambda adjacency: seen.append(adjacency) or dissect(adjacency))
+    own._orders.clear()
     matrix = cube(5).tolil()
-    for row, column in ((0, 3), (100, 160), (30, 33)):
-        matrix[row, column] = 1e-18 if matrix[row, column] == 0 else matrix[row, column]
+    assert matrix[0, 200] == 0
+    matrix[0, 200] = 1e-18
     factor, loads = symmetric_factor(sp.csc_array(matrix)), np.arange(375.0)
-    assert (factor.order is None) == (order != "metis")
+    (graph,) = seen
+    ends = np.asarray(graph.adj_starts), np.asarray(graph.adjacent)
+    edges = sp.csr_array((np.ones(len(ends[1])), ends[1], ends[0]), shape=matrix.shape)
+    assert edges[0, 200] == edges[200, 0] == 1 and (edges != edges.T).nnz == 0 and not edges.diagonal().any()
     np.testing.assert_allclose(matrix @ factor.solve(loads), loads, atol=1e-7)
 
 
