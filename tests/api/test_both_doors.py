@@ -77,7 +77,7 @@ def test_an_explanation_is_the_same(doors):
     library = library_of(study)
     mine = problem.calibrate(effects=library, progress=False).explain(library, progress=False)
     assert (mine.verdict, mine.explanation.answer) == (own.verdict, own.answer)
-    if study.name in ON_KEPT_BASES:
+    if study.loaded.name in ON_KEPT_BASES:
         columns = ["name", "credible", "magnitude", "magnitude_low", "magnitude_high", "ln_bayes"]
         same(mine.explanation.effects[columns], own.effects[columns], 1e-3, 1e-3)
         return
