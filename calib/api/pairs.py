@@ -184,7 +184,7 @@ def lacking_effects(problem: ProblemLike, effects: Candidates) -> dict[str, tupl
 
     InputError for an unknown model, and where two parameters share a name.
     """
-    listed = generic_of(problem) if is_generic(effects) else library_of(problem, cast(Any, effects))
+    listed = generic_of(problem) if is_generic(effects) else library_of(problem, cast("Effects", effects))
     library = {name: lacking(own, problem.settings.with_effects) for name, own in listed.items()}
     for model, _ in problem.by_model:
         require_distinct(library.get(model.name, ()), model, "effects")

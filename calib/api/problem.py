@@ -234,7 +234,7 @@ class Problem:
             Seed of the first case. Same seed, same fit, whatever the executor.
         effects : sequence of Effect, mapping from str to sequences of them, or "generic"
             Effects that the models may lack, as in `explain`: where a fit is rejected, its intervals with the misfit
-            take each of them to be there a little. A study takes those of its library.
+            take each of them as present a little. A study takes those of its library.
         reduction : bool or mapping, optional
             Whether large models are reduced, or keys of ``[reduction]``: ``use``, ``tolerance``, ``seed``.
         executor : concurrent.futures.Executor or calib.execution.executor.Injected, optional
@@ -253,7 +253,8 @@ class Problem:
         Raises
         ------
         InputError
-            For an unknown or a fixed parameter, and a key or a value that a study's file could not have.
+            For an unknown or a fixed parameter, an effect that cannot be built, and a key or a value that a study's
+            file could not have.
         EvaluationError
             Where no start can be evaluated.
         """

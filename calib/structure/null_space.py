@@ -110,6 +110,7 @@ def _vanishing(scaled: sp.csc_array) -> np.ndarray:
     found = []
     for shift in (_SHIFT, _MORE * _SHIFT):
         try:
+            # Which rows vanish depends on the order; those that are fixed are told.
             lu = symmetric_factor(sp.csc_array(scaled + shift * sp.eye_array(scaled.shape[0])), dissected=False)
         except RuntimeError:
             return np.zeros(0, dtype=int)

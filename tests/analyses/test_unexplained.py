@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 import calib
+from calib.analyses import calibrate
 from calib.analyses.explain import explain, write_explanation
 from calib.api.entries.explained import _predictions
 from calib.command import cli
@@ -95,14 +96,17 @@ def test_they_know_of_the_effects_that_the_model_may_lack_in_python_as_in_a_stud
     own = study.calibrate().of.with_misfit
     mine = study.problem.calibrate(effects=study.effects, progress=False).calibration.with_misfit
     pd.testing.assert_frame_equal(mine, own, rtol=1e-6)
+    composed = study.problem.calibrate(effects="generic", progress=False).calibration.with_misfit
     alone = study.problem.calibrate(progress=False).calibration.with_misfit
     assert (alone["value"] - own["value"]).abs().max() < 1e-6 * own["value"].max()
-    assert not np.allclose(alone["value_unexplained"], own["value_unexplained"], rtol=1e-4)
+    for other in (alone, composed):
+        assert not np.allclose(other["value_unexplained"], own["value_unexplained"], rtol=1e-4)
 
 
 @pytest.mark.medium
 @pytest.mark.parametrize("door", ["command", "python"])
-def test_an_effect_that_cannot_be_built_is_refused_before_a_fit_begins(mast, tmp_path, door, capsys):
+def test_an_effect_that_cannot_be_built_is_refused_before_a_fit_begins(mast, tmp_path, door, capsys, monkeypatch):
+    monkeypatch.setattr(calibrate, "CaseFinder", lambda *_: pytest.fail("a fit began"))
     folder = mast.write_study(tmp_path / "mast", {"guy": 12000.0})
     text = (folder / "effects.py").read_text()
     broken = text.replace("        rows = [", '        raise RuntimeError("no such joint")\n        rows = [')
@@ -111,7 +115,7 @@ def test_an_effect_that_cannot_be_built_is_refused_before_a_fit_begins(mast, tmp
     if door == "command":
         assert cli.execute(["calibrate", str(folder), "--results", str(tmp_path / "r")]) == 2
         told = capsys.readouterr().err
-        assert not list((tmp_path / "r").rglob("parameters.csv"))
+        assert not list((tmp_path / "r").rglob("*.csv"))
     else:
         study = calib.Study.load(folder, progress=False)
         with pytest.raises(calib.InputError) as refused:

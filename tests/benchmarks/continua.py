@@ -11,37 +11,33 @@ from typing import NamedTuple
 
 import numpy as np
 import scipy.sparse as sp
-from grillage import ZONES
+from grillage import ZONES, assembled
 
 import calib
-from models.fem import shell
-from models.fem.quad import projected
+from models.fem.panel import Panel
 from models.fem.sheet import Sheet
+from models.fem.structure import Structure
 
 YOUNG, POISSON, DENSITY = 2.1e11, 0.3, 7850.0
 """Of steel, Pa, 1, kg/m3."""
 THICKNESS = 0.006
 """Of the roof, m."""
 ROOF_HELD, BLOCK_HELD = 1e9, 5e10
-"""Stiffness of all springs together in each direction, N/m: at the edges of the roof, under the block."""
-SQUARE = np.array([(0, 0), (1, 0), (1, 1), (0, 1)])
-CUBE = np.vstack([np.c_[SQUARE, np.full(4, z)] for z in (0, 1)])
+"""Stiffness of all springs together in each direction, N/m: at the edges of the roof, under the block (assumed)."""
+CUBE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0), (0, 0, 1), (1, 0, 1), (1, 1, 1), (0, 1, 1)])
 DIRECTIONS = ("x", "y", "z", "rx", "ry", "rz")
 
 
 class Continuum(NamedTuple):
-    """Elements of one shape: matrices (n, k, k) at ``corners`` (n, c) of ``nodes`` (m, 3), with ``motions`` a node.
+    """A body of finite elements over the motions of its nodes (m, 3), in m.
 
-    ``place`` (n, 2) in [0, 1) along and across says in which zone an element is; ``held`` are the nodes of the springs.
+    Stiffness of each zone and mass are (n, n), n a multiple of m; ``held`` are the nodes that stand on springs.
     """
 
     nodes: np.ndarray
-    corners: np.ndarray
-    stiffness: np.ndarray
-    mass: np.ndarray
-    place: np.ndarray
+    stiffness: list[sp.csr_array]
+    mass: sp.csr_array
     held: np.ndarray
-    motions: int
 
 
 def roof(size: int) -> calib.StructuralModel:
@@ -55,36 +51,42 @@ def block(size: int) -> calib.StructuralModel:
 
 
 def shells(size: int) -> Continuum:
-    """Flat shells with four nodes, of `models.fem.shell`."""
+    """The roof of flat shells with four nodes, of `models.fem.shell`."""
     across = round(math.sqrt(size / 12))
-    counts = np.array([2 * across, across])
-    x, angle = np.meshgrid(np.linspace(0, 8, counts[0] + 1), np.linspace(-0.4, 0.4, across + 1), indexing="ij")
-    nodes = np.stack([x, 5 * np.sin(angle), 5 * np.cos(angle)], axis=-1).reshape(-1, 3)
-    first = _cells(counts)
-    corners = (first[:, None] + SQUARE) @ [across + 1, 1]
-    elements = projected(nodes[corners])
-    turned = elements.transformation()
-    sheet = Sheet(THICKNESS, YOUNG, POISSON, DENSITY)
-    stiffness = shell.to_global(sum(shell.stiffness(elements, sheet)), turned)
-    mass = shell.to_global(shell.mass(elements, DENSITY * THICKNESS, DENSITY * THICKNESS**3 / 12), turned)
-    held = np.flatnonzero((x == 0) | (x == 8) | (abs(angle) == 0.4))
-    return Continuum(nodes, corners, stiffness, mass, first / counts, held, 6)
+    x, angle = np.meshgrid(np.linspace(0, 8, 2 * across + 1), np.linspace(-0.4, 0.4, across + 1), indexing="ij")
+    points = np.stack([x, 5 * np.sin(angle), 5 * np.cos(angle)], axis=-1)
+    structure = Structure((), panels=(Panel("roof", "roof", Sheet(THICKNESS, YOUNG, POISSON, DENSITY), points),))
+    nodes = structure.points
+    middle = nodes[structure.corners].mean(axis=1)
+    zone = _zones(np.column_stack([middle[:, 0] / 8, np.arctan2(middle[:, 1], middle[:, 2]) / 0.8 + 0.5]))
+    stiffness = [structure.shells(chosen=zone == k).stiffness for k in range(math.prod(ZONES))]
+    own = structure.shells()
+    angle = np.arctan2(nodes[:, 1], nodes[:, 2])
+    held = np.flatnonzero((nodes[:, 0] < 1e-9) | (nodes[:, 0] > 8 - 1e-9) | (abs(angle) > 0.4 - 1e-9))
+    return Continuum(nodes, stiffness, sp.csr_array(own.mass + own.rotary), held)
 
 
 def solids(size: int) -> Continuum:
-    """Hexahedra with linear shapes."""
+    """The block of hexahedra with linear shapes."""
     high = max(round((size / 24) ** (1 / 3)), 2)
     counts = np.array([4 * high, 2 * high, high])
     first, nodes = _cells(counts), _cells(counts + 1)
     strides = np.array([(counts[1] + 1) * (counts[2] + 1), counts[2] + 1, 1])
-    stiffness, mass = (np.broadcast_to(matrix, (len(first), 24, 24)) for matrix in _cube(0.5 / high))
-    held = np.flatnonzero(nodes[:, 2] == 0)
-    corners = (first[:, None] + CUBE) @ strides
-    return Continuum(nodes * 0.5 / high, corners, stiffness, mass, (first / counts)[:, :2], held, 3)
+    rows = (3 * ((first[:, None] + CUBE) @ strides)[:, :, None] + np.arange(3)).reshape(len(first), 24)
+    zone = _zones((first / counts)[:, :2])
+    stiff, heavy = (np.broadcast_to(matrix, (len(first), 24, 24)) for matrix in _cube(0.5 / high))
+    stiffness = [assembled(rows[zone == k], stiff[zone == k], 3 * len(nodes)) for k in range(math.prod(ZONES))]
+    mass = assembled(rows, heavy, 3 * len(nodes))
+    return Continuum(nodes * 0.5 / high, stiffness, mass, np.flatnonzero(nodes[:, 2] == 0))
+
+
+def _zones(place: np.ndarray) -> np.ndarray:
+    """Zone of each place (n, 2) in [0, 1) along and across, shape (n,)."""
+    return np.floor(place * ZONES).astype(int) @ [1, ZONES[0]]
 
 
 def _cells(counts: np.ndarray) -> np.ndarray:
-    """Indices of all cells of a grid, the last index first, shape (n, dimensions)."""
+    """Indices of all cells of a grid, in the order of the last index first, shape (n, dimensions)."""
     return np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, len(counts))
 
 
@@ -110,24 +112,15 @@ def _cube(edge: float) -> tuple[np.ndarray, np.ndarray]:
 
 def _model(name: str, of: Continuum, held: float) -> calib.StructuralModel:
     """Its elements with springs of ``held`` N/m together to the ground, in each of three directions."""
-    rows = (of.motions * of.corners[:, :, None] + np.arange(of.motions)).reshape(len(of.corners), -1)
-    zone = np.floor(of.place * ZONES).astype(int) @ [1, ZONES[0]]
-    size = of.motions * len(of.nodes)
-    ends = (of.motions * of.held[:, None] + np.arange(3)).ravel()
+    size = of.mass.shape[0]
+    motions = size // len(of.nodes)
+    ends = (motions * of.held[:, None] + np.arange(3)).ravel()
     springs = sp.csr_array((np.full(len(ends), held / len(of.held)), (ends, ends)), shape=(size, size))
-    names = [f"zone_{k + 1}" for k in range(math.prod(ZONES))]
+    zones = {f"zone_{k + 1}": matrix for k, matrix in enumerate(of.stiffness)}
     return calib.StructuralModel.from_matrices(
-        stiffness={n: _sum(rows[zone == k], of.stiffness[zone == k], size) for k, n in enumerate(names)}
-        | {"springs": springs},
-        mass=_sum(rows, of.mass, size),
-        dofs=[(node + 1, direction) for node in range(len(of.nodes)) for direction in DIRECTIONS[: of.motions]],
-        parameters=[calib.Parameter(n, 1.0, 0.5, 2.0, "-", prior_sd=0.2) for n in names],
+        stiffness=zones | {"springs": springs},
+        mass=of.mass,
+        dofs=[(node + 1, direction) for node in range(len(of.nodes)) for direction in DIRECTIONS[:motions]],
+        parameters=[calib.Parameter(zone, 1.0, 0.5, 2.0, "-", prior_sd=0.2) for zone in zones],
         name=name,
     )
-
-
-def _sum(rows: np.ndarray, blocks: np.ndarray, size: int) -> sp.csr_array:
-    """Element matrices (n, k, k) at their rows (n, k), added up."""
-    k = rows.shape[1]
-    where = (np.repeat(rows, k, axis=1).ravel(), np.tile(rows, (1, k)).ravel())
-    return sp.coo_array((blocks.ravel(), where), shape=(size, size)).tocsr()

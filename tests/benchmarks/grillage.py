@@ -69,10 +69,14 @@ def grillage(side: int, zones: tuple[int, int] = ZONES, damped: bool = False) ->
 
 
 def _sum(parts: list[tuple[np.ndarray, np.ndarray]], size: int) -> sp.csr_array:
-    rows = np.concatenate([np.repeat(dofs, len(dofs)) for dofs, _ in parts])
-    columns = np.concatenate([np.tile(dofs, len(dofs)) for dofs, _ in parts])
-    values = np.concatenate([matrix.ravel() for _, matrix in parts])
-    return sp.coo_array((values, (rows, columns)), shape=(size, size)).tocsr()
+    return assembled(np.array([dofs for dofs, _ in parts]), np.array([matrix for _, matrix in parts]), size)
+
+
+def assembled(rows: np.ndarray, blocks: np.ndarray, size: int) -> sp.csr_array:
+    """Matrix (size, size) of element matrices (n, k, k) at their rows (n, k)."""
+    k = rows.shape[1]
+    where = (np.repeat(rows, k, axis=1).ravel(), np.tile(rows, (1, k)).ravel())
+    return sp.coo_array((blocks.ravel(), where), shape=(size, size)).tocsr()
 
 
 def measured(model: calib.StructuralModel, n_sensors: int, n_modes: int) -> MeasuredModes:

@@ -84,9 +84,11 @@ def test_an_entry_that_is_there_on_one_side_joins_both_rows(monkeypatch):
 def test_as_many_modes_are_below_a_frequency(order):
     mass = sp.csc_array(sp.eye_array(192))
     true = np.linalg.eigvalsh(cube(4).toarray())
-    for k in (1, 20, 100):
-        between = np.sqrt((true[k - 1] + true[k]) / 2) / (2 * np.pi)
-        assert true[k] - true[k - 1] < 1e-9 or count_below(cube(4), mass, between) == k
+    gaps = np.flatnonzero(np.diff(true) > 1e-3)
+    assert len(gaps) >= 5
+    for k in gaps:
+        between = np.sqrt((true[k] + true[k + 1]) / 2) / (2 * np.pi)
+        assert count_below(cube(4), mass, between) == k + 1
 
 
 @pytest.mark.slow
@@ -127,5 +129,5 @@ def test_where_metis_fails_the_factor_finds_its_order(monkeypatch):
 
 def test_without_metis_the_factor_finds_its_order(monkeypatch):
     monkeypatch.setattr(own, "DISSECTED", 0)
-    monkeypatch.setattr(own, "find_spec", lambda name: None)
+    monkeypatch.setattr(own, "metis", lambda: "")
     assert symmetric_factor(cube(3)).order is None

@@ -30,8 +30,10 @@ from calib.study.several import AnyStudy
 from calib.study.study import LoadedStudy
 from calib.study.study_file import Measured
 
-PACKAGES = ("numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib")
-"""Packages whose versions may change a digit or a figure."""
+PACKAGES = (
+    "numpy", "scipy", "pandas", "pymoo", "SALib", "pyuff", "matplotlib", "scikit-learn", "emcee", "pymetis"
+)  # fmt: skip
+"""Packages whose versions, or presence, may change a digit or a figure."""
 
 SENSOR_COLUMNS = ("sensor", "node", "direction", "x", "y", "z", "part", "held_out", "shape_std")
 

@@ -20,6 +20,7 @@ import scipy
 from calib.errors.errors import InputError
 from calib.results.code_digest import code_digest
 from calib.results.written import DRAFT
+from calib.structure.eigenproblem.symmetric_factor import metis
 from calib.structure.model import StructuralModel
 from calib.structure.reduction.basis import Basis
 
@@ -182,8 +183,9 @@ def basis_key(model: StructuralModel, *more: object) -> str:
 
 @functools.cache
 def _code() -> str:
-    """Digest over the code of `calib.structure`, whatever the folders in it, and the versions of NumPy and SciPy."""
-    return hashlib.sha256(f"{np.__version__} {scipy.__version__} {code_digest('calib.structure')}".encode()).hexdigest()
+    """Digest over the code of `calib.structure`, whatever the folders in it, and versions of what it computes with."""
+    libraries = f"{np.__version__} {scipy.__version__} {metis()}"
+    return hashlib.sha256(f"{libraries} {code_digest('calib.structure')}".encode()).hexdigest()
 
 
 def _read(path: Path) -> Basis | None:
