@@ -21,7 +21,7 @@ from calib.results.answer import Answer
 from calib.results.cell import guarded_table
 from calib.results.json_file import ANY, read_json
 from calib.results.ledger import Ledger
-from calib.results.results import Results
+from calib.results.results import NUMBER, Results
 from calib.results.written import whole
 from calib.study.several import AnyStudy
 
@@ -88,7 +88,7 @@ class Designs:
         """Write the table as CSV; InputError where that cannot be."""
         try:
             with whole(path) as draft:
-                guarded_table(self.table).to_csv(draft, index=False, float_format="%.10g")
+                guarded_table(self.table).to_csv(draft, index=False, float_format=NUMBER)
         except OSError as fault:
             remedy = "choose another file"
             raise InputError(f"it cannot be written ({fault.strerror})", place=path, remedy=remedy) from None

@@ -27,6 +27,7 @@ from calib.missing.findings import ExplanationResult
 from calib.missing.predictions import TABLE as PREDICTIONS
 from calib.problem.effect import Effect
 from calib.results.ledger import Ledger
+from calib.results.results import as_stored
 from calib.structure.model import StructuralModel
 from calib.study.measurement_settings import GENERIC
 from calib.study.settings import ExplainSettings, StudySettings
@@ -194,6 +195,8 @@ def explained(
     if meshes or any(test.shows_mesh for _, test in problem.pairs):  # else it does not count, which is told
         require_finer_mesh(settings.explain, meshes, problem.pairs)
     study = problem.study(settings, library, meshes)
+    # As a study, which begins at stored values: bases trained 1e-10 apart differ within their tolerance.
+    begin = None if begin is None else as_stored(begin)
     with (
         injected(executor) as workers, reporting("explain", progress) as step, Ledger.in_memory() as passing,
     ):  # fmt: skip

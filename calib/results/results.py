@@ -27,6 +27,8 @@ RESULTS = Path("results")
 """Where results go unless another place is named."""
 _REMEDY = "choose another place with --results DIR, or free the folder"
 _MOVE = "move what is there away, or choose another place with --results DIR"
+NUMBER = "%.10g"
+"""How tables hold numbers: ten digits."""
 OWNER = "owner.json"
 """Names the study that a folder of results belongs to."""
 _DRAFTS = re.compile(rf"^\.(probe-.*|calib-extend-.*|.+\.\d+){re.escape(written.DRAFT)}$")
@@ -120,7 +122,7 @@ class Results:
         """Write ``name.csv`` for `read_table`; floats keep ten digits. InputError when it cannot be."""
         from calib.results.cell import guarded_table  # late: the command needs the constants of this module only
 
-        return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format="%.10g"))
+        return self._write(f"{name}.csv", guarded_table(table).to_csv(index=index, float_format=NUMBER))
 
     def write_json(self, name: str, content: Mapping[str, Any]) -> Path:
         """Write ``name.json``; numbers that are not finite become null. InputError when it cannot be written."""
@@ -210,6 +212,11 @@ def _clear_drafts(folder: Path) -> None:
         with contextlib.suppress(OSError):
             if time.time() - draft.stat().st_mtime > _ABANDONED:
                 shutil.rmtree(draft) if draft.is_dir() else draft.unlink()
+
+
+def as_stored(values: Mapping[str, float]) -> dict[str, float]:
+    """Values as they come back from a table: to ten digits."""
+    return {name: float(NUMBER % value) for name, value in values.items()}
 
 
 def json_value(value: Any) -> Any:
