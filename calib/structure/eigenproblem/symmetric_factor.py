@@ -15,10 +15,10 @@ import scipy.sparse.linalg as spla
 
 DISSECTED = 10_000
 """Rows from which on a matrix is dissected: a factor of 10,440 of solids then takes 0.36 for 1.05 s, one of 12,870 of
-shells 0.15 for 0.14 s, one of 33,456 of the vehicle 0.35 for 0.43 s. No study in this repository has a fitted model of
-as many, so that its tables do not depend on what is installed."""
+shells 0.15 for 0.14 s, one of 33,456 of the vehicle 0.35 for 0.43 s. No fitted model of a study in this repository has
+as many, so that fits there do not depend on what is installed."""
 _KEPT = 4
-"""Patterns whose order is kept: stiffness, with a border, and those of two models."""
+"""Patterns whose order is kept: of two models, each with and without a border (assumed)."""
 _orders: OrderedDict[bytes, np.ndarray | None] = OrderedDict()
 _lock = Lock()
 
